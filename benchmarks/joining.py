@@ -86,7 +86,7 @@ def blended(porosity: float, seed: int) -> list[object]:
     cells, gyroid = run["cells"], run["gyroid"]
     gyroid = gyroid.cut_at(float(np.quantile(gyroid.sample(64), 1 - porosity)))
     mixed = sppm.field.blend()(first=cells, second=gyroid, grading=run["grade.formula"])
-    values = [cells.sample(40), gyroid.sample(sppm.cell_centers(40, cells.cells))]
+    values = [cells.sample(40), gyroid.sample(sppm.numerics.cell_centers(40, cells.cells))]
     plain = sum(v / v.std() for v in values) / 2
     errors = void(mixed, 40).mean() - porosity, (plain >= 0).mean() - porosity
     return [porosity, seed, *(f"{100 * error:+.2f}" for error in errors)]
@@ -108,7 +108,7 @@ def warped(seed: int) -> list[object]:
         n = int(2 * 14.6 / h)
         axis = -14.6 + h * (np.arange(n) + 0.5)
         low = np.array([axis[0], axis[0], h / 2]) - field.origin_mm
-        grid = sppm.Grid(tuple(low / field.edge_mm), (h / field.edge_mm,) * 3, (n, n, round(15 / h)))
+        grid = sppm.numerics.Grid(tuple(low / field.edge_mm), (h / field.edge_mm,) * 3, (n, n, round(15 / h)))
         inside, r = void(field, grid), np.hypot(axis[:, None], axis)
         rows.append(" ".join(f"{inside[(r >= a) & (r < a + 5)].mean():.4f}" for a in (4.6, 9.6)))
     return rows

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import networkx as nx
 
+import sppm_pipeline
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sppm_pipeline"
 TEMPLATES = PACKAGE / "engine" / "cli" / "templates"
 """Data of `sppm new`: files of other distributions."""
 MAXIMUM_LINES = 450
-SMALL, MAXIMUM_SMALL = 60, 22
+SMALL, MAXIMUM_SMALL = 60, 25
 
 
 def modules() -> dict[str, int]:
@@ -63,13 +65,7 @@ def names_in(folder: Path) -> set[str]:
 
 def test_packages_name_only_what_is_there():
     """What a package's docstring puts between backticks is something in it, or below this package."""
-    public = ast.literal_eval(
-        next(
-            node.value
-            for node in ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8")).body
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
-        )
-    )
+    public = sppm_pipeline.__all__
     missing = {}
     for folder in {path.parent for path in python_files()}:
         text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
@@ -112,3 +108,47 @@ def test_no_file_needs_a_file_that_needs_it():
             if other.startswith("sppm_pipeline.") and below in files and below != place:
                 needs.add_edge(place, below)
     assert [sorted(circle) for circle in nx.strongly_connected_components(needs) if len(circle) > 1] == []
+
+
+def test_the_faces_are_no_back_door_to_features():
+    """What a file takes from a face lies where the file may import from: features are named there for plugins."""
+    places = {}
+    for face in ("__init__.py", "nouns/__init__.py", "numerics.py", "pictures.py", "formats.py"):
+        tree = ast.parse((PACKAGE / face).read_text(encoding="utf-8"))
+        (table,) = (n.value for n in tree.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "_PLACES")
+        module = "sppm_pipeline." + face.removesuffix(".py").removesuffix("__init__").replace("/", ".")
+        for place, names in ast.literal_eval(table).items():
+            for entry in names.split():
+                places[module.rstrip("."), entry.partition("=")[0]] = place
+    wrong = []
+    for path in python_files():
+        ring, *rest = path.relative_to(PACKAGE).parts
+        if not rest or ring == "testing":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    other = places.get((node.module, alias.name), "").split(".")
+                    if other[0] == "features" and (ring != "features" or other[1] != rest[0]):
+                        wrong.append((path.relative_to(ROOT).as_posix(), alias.name))
+    assert wrong == []
+
+
+PROOF = ("flow", "crushing")
+"""Features that show that the faces hold all that a feature needs."""
+
+
+def test_two_features_import_the_faces_alone():
+    faces = {
+        "sppm_pipeline",
+        *(f"sppm_pipeline.{face}" for face in ("nouns", "numerics", "pictures", "formats", "errors")),
+    }
+    taken = {
+        (feature, node.module)
+        for feature in PROOF
+        for path in (PACKAGE / "features" / feature).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sppm_pipeline")
+    }
+    own = {pair for pair in taken if pair[1].startswith(f"sppm_pipeline.features.{pair[0]}")}
+    assert {module for _, module in taken - own} <= faces

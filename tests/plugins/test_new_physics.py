@@ -117,7 +117,7 @@ def test_a_plugin_may_show_what_is_not_its_own(tmp_path):
         "def view(what, samples, threads):\n    return b'its own'\n\n"
         "def png(what):\n    return b'drawn'\n\n"
         "@sppm.hookimpl\ndef sppm_live_views():\n"
-        f"    return {{'{shown.__module__}:Shown': sppm.Viewer(view, f'{{__name__}}:png')}}\n"
+        f"    return {{'{shown.__module__}:Shown': sppm.nouns.Viewer(view, f'{{__name__}}:png')}}\n"
     )
     load_plugins(files=[viewer], distributions=False).raise_broken()
     report = plugin.HomogenizeLaminate(share=0.25).run(None)

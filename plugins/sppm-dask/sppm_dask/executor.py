@@ -20,7 +20,8 @@ import dask
 from distributed import Client, LocalCluster
 from distributed.scheduler import KilledWorker
 
-from sppm_pipeline import ConfigError, NativeCrash, ResourceError, stop_requested
+from sppm_pipeline import ConfigError, ResourceError, stop_requested
+from sppm_pipeline.errors import NativeCrash
 
 QUEUES = {
     "slurm": "SLURMCluster",

@@ -29,7 +29,7 @@ class EvenInteriors(Tiler):
         self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         """Deal the interiors; any face colors go with them."""
-        from sppm_pipeline import tile_corners, tile_hashed
+        from sppm_pipeline.numerics import tile_corners, tile_hashed
 
         seed, colors, interiors = int(rng.integers(2**62)), tileset.palette_colors, tileset.micro.interiors
         if tileset.kind == "corner":

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_lattice_points.measured import MeasuredSampler
-from sppm_pipeline import InteriorBox, option
+from sppm_pipeline import option
+from sppm_pipeline.nouns import InteriorBox
 
 # points of one cube of each lattice, in quarters of the cube's edge
 _FACES = [[0, 0, 0], [0, 2, 2], [2, 0, 2], [2, 2, 0]]

@@ -13,7 +13,7 @@ class MeasuredSampler(Sampler):
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors and report the smallest distance of two pores of one interior."""
-        from sppm_pipeline import smallest_spacing as min_spacing
+        from sppm_pipeline.numerics import smallest_spacing as min_spacing
 
         thrown = super().run(context, pores)
         periodic = (not thrown.has_faces,) * 3

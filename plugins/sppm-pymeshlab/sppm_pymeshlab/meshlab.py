@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline import ArraySpec, Context, DesignError, InputError, SurfaceMesh, run_native
+from sppm_pipeline import Context, DesignError, InputError, SurfaceMesh, run_native
+from sppm_pipeline.nouns import ArraySpec
 
 LARGEST = 20_000_000
 """Triangles; MeshLab needs about 1 kB for each."""
@@ -73,8 +74,8 @@ def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **opt
     DesignError
         If a closed mesh comes back open, or its volume is gone.
     """
-    from sppm_pipeline import mesh_edges as edge_counts
-    from sppm_pipeline import mesh_volume as volume
+    from sppm_pipeline.numerics import mesh_edges as edge_counts
+    from sppm_pipeline.numerics import mesh_volume as volume
 
     made = filtered(mesh, name, seconds, **options)
     before, after = edge_counts(mesh.faces), edge_counts(made.faces)
@@ -94,7 +95,7 @@ def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **opt
 
 def compared(context: Context, before: SurfaceMesh, after: SurfaceMesh) -> None:
     """Report what has changed: triangles, edge lengths, and the volume if there is one."""
-    from sppm_pipeline import mesh_volume as volume
+    from sppm_pipeline.numerics import mesh_volume as volume
 
     was, now = (volume(mesh.vertices, mesh.faces) for mesh in (before, after))
     context.report(triangles_before=len(before.faces), volume_before_mm3=was, volume_after_mm3=now)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import mesh_components as components
-from sppm_pipeline import mesh_edges as edge_counts
-from sppm_pipeline import mesh_volume as volume
+from sppm_pipeline.numerics import mesh_components as components
+from sppm_pipeline.numerics import mesh_edges as edge_counts
+from sppm_pipeline.numerics import mesh_volume as volume
 from sppm_pymeshlab.winding import winding_numbers
 
 

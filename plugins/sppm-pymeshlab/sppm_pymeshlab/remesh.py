@@ -34,7 +34,7 @@ class Remesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Remesh, and report edges and volumes."""
-        from sppm_pipeline import mesh_area as surface_area
+        from sppm_pipeline.numerics import mesh_area as surface_area
 
         edge = self.edge_length.mm()
         expected = surface_area(mesh.vertices, mesh.faces) / (3**0.5 / 4 * edge**2)

@@ -10,7 +10,6 @@ from sppm_pipeline import (
     Context,
     InputError,
     Length,
-    NativeCrash,
     ResourceError,
     SppmError,
     Stage,
@@ -18,6 +17,7 @@ from sppm_pipeline import (
     option,
     options,
 )
+from sppm_pipeline.errors import NativeCrash
 
 if TYPE_CHECKING:
     from sppm_pymeshlab.inside_test import InsideTest
@@ -104,7 +104,7 @@ class _Repair:
     intersecting: int | None = None
 
     def __post_init__(self) -> None:
-        from sppm_pipeline import mesh_edges as edge_counts
+        from sppm_pipeline.numerics import mesh_edges as edge_counts
 
         self.mesh = self.start
         self.consistent = edge_counts(self.start.faces).consistent
@@ -137,8 +137,8 @@ class _Repair:
                     self.context.warn(f"the step {step!r} was left out: {error.message}")
 
     def _called_for(self, step: str) -> bool:
-        from sppm_pipeline import mesh_measures as measure_surface
-        from sppm_pipeline import mesh_volume as volume
+        from sppm_pipeline.numerics import mesh_measures as measure_surface
+        from sppm_pipeline.numerics import mesh_volume as volume
 
         faces = self.mesh.faces
         measures = measure_surface(self.mesh.vertices, faces)
@@ -192,7 +192,7 @@ class _Repair:
 
     def _spoilt(self, step: str, made: SurfaceMesh) -> str | None:
         """Defects that a step has increased though it was to reduce them."""
-        from sppm_pipeline import mesh_edges as edge_counts
+        from sppm_pipeline.numerics import mesh_edges as edge_counts
 
         was, now = edge_counts(self.mesh.faces), edge_counts(made.faces)
         if step in ("clean", "merge", "close") and now.boundary > was.boundary:
@@ -234,8 +234,8 @@ class _Repair:
         return made
 
     def _note(self, step: str, made: SurfaceMesh, changed: float | None, undone: str | None) -> None:
-        from sppm_pipeline import mesh_edges as edge_counts
-        from sppm_pipeline import mesh_volume as volume
+        from sppm_pipeline.numerics import mesh_edges as edge_counts
+        from sppm_pipeline.numerics import mesh_volume as volume
 
         entry: dict[str, Any] = {"step": step, "kept": undone is None}
         if undone is not None:
@@ -255,8 +255,8 @@ class _Repair:
 
     def finished(self) -> SurfaceMesh:
         """The mesh, if it is acceptable; the report of all steps in any case."""
-        from sppm_pipeline import mesh_edges as edge_counts
-        from sppm_pipeline import mesh_volume as volume
+        from sppm_pipeline.numerics import mesh_edges as edge_counts
+        from sppm_pipeline.numerics import mesh_volume as volume
 
         edges = edge_counts(self.mesh.faces)
         before = volume(self.start.vertices, self.start.faces)

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import jit
+from sppm_pipeline.numerics import jit
 
 SMALL = 0.02
 """Tangent up to which three terms of its series give an angle to 2e-13, at a fifth of the time."""

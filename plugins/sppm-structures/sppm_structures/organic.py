@@ -9,21 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Grid,
-    Kernels,
-    Length,
-    PartFieldMaker,
-    Pieces,
-    PlacedField,
-    ResourceError,
-    ScalarField,
-    SurfaceMesh,
-    TilingArrays,
-    options,
-)
+from sppm_pipeline import ConfigError, Context, Length, PartFieldMaker, ResourceError, ScalarField, SurfaceMesh, options
+from sppm_pipeline.nouns import PlacedField
+from sppm_pipeline.numerics import Grid, Kernels, Pieces, TilingArrays
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum."""
@@ -59,7 +47,7 @@ class OrganicField(PlacedField):
         return -math.log(self.level) / self.mu if 0 < self.level < 1 else None
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        from sppm_pipeline import make_catalog, sample_exact
+        from sppm_pipeline.numerics import make_catalog, sample_exact
 
         if "pieces" not in self.kept:
             pieces, arrays = self._sorted_by_cell()
@@ -139,8 +127,8 @@ class Organic(PartFieldMaker):
 
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
         """Throw and join the pores; the field is evaluated where somebody samples it."""
-        from sppm_pipeline import TUNNEL_PROFILES, omega_from_radius
-        from sppm_pipeline import throw_darts as throw
+        from sppm_pipeline.numerics import TUNNEL_PROFILES, omega_from_radius
+        from sppm_pipeline.numerics import throw_darts as throw
 
         region, origin = self.region(cover)
         spacing = self.in_cells(self.spacing)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import CellIndex
+from sppm_pipeline.nouns import CellIndex
 
 MAX_SEEDS = 5000
 """Seeds of one cell."""
@@ -82,7 +82,7 @@ class HashedSeeds(NamedTuple):
         return 0.5 + self.jitter * (drawn - 0.5)
 
     def _uniform(self, index: list[NDArray[np.int64]], stream: int) -> NDArray[np.float64]:
-        from sppm_pipeline import hash_places
+        from sppm_pipeline.numerics import hash_places
 
         bits = hash_places(self.seed, _STREAM + stream, *index)
         return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
@@ -101,8 +101,8 @@ def images_near(seeds: NDArray[np.float64], margin: float) -> tuple[NDArray[np.f
 
 def blue_noise(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
     """Points of the periodic unit cell by dart throwing, at three quarters of the packing limit, (count, 3)."""
-    from sppm_pipeline import largest_spacing
-    from sppm_pipeline import throw_darts as throw
+    from sppm_pipeline.numerics import largest_spacing
+    from sppm_pipeline.numerics import throw_darts as throw
 
     spacing = min(largest_spacing(max(round(count / 0.75), 1), (1.0, 1.0, 1.0), periodic=True), 1.0)
     return throw(rng, count, spacing, (0.0,) * 3, (1.0,) * 3, periodic=(True,) * 3)

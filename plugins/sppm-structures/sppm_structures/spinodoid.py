@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, DesignError, FieldMaker, FormulaField, ScalarField, option
+from sppm_pipeline import ConfigError, Context, DesignError, FieldMaker, ScalarField, option
+from sppm_pipeline.nouns import FormulaField
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 SMALLEST_CONE = 15.0

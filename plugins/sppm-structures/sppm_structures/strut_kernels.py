@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import jit
+from sppm_pipeline.numerics import jit
 from sppm_structures.graphs import StrutGraph, images
 
 LEVELS = 4

@@ -11,17 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    FieldMaker,
-    FormulaField,
-    InputError,
-    Length,
-    ScalarField,
-    option,
-    options,
-)
+from sppm_pipeline import ConfigError, Context, FieldMaker, InputError, Length, ScalarField, option, options
+from sppm_pipeline.nouns import FormulaField
 from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
 
 LARGEST_FILE = 1 << 24

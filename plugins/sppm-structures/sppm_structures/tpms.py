@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, FieldMaker, FormulaField, Length, ScalarField, option
+from sppm_pipeline import ConfigError, Context, FieldMaker, Length, ScalarField, option
+from sppm_pipeline.nouns import FormulaField
 from sppm_structures.nodal import SURFACES
 
 SHALLOW = 1e-3

@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import (
-    CellIndex,
-    CellwiseField,
     ConfigError,
     Context,
     InputError,
@@ -24,6 +22,7 @@ from sppm_pipeline import (
     frozen,
     option,
 )
+from sppm_pipeline.nouns import CellIndex, CellwiseField
 from sppm_structures.seeds import MAX_SEEDS, HashedSeeds, blue_noise, images_near
 
 MAX_SHARED = np.sqrt(3.0) / 2

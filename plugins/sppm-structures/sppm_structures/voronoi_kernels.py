@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import jit
+from sppm_pipeline.numerics import jit
 from sppm_structures.strut_kernels import BUCKETS, LEVELS, longer, place_of
 
 _SAME = 1e-9

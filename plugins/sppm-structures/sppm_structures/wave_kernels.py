@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import jit
+from sppm_pipeline.numerics import jit
 
 
 @jit

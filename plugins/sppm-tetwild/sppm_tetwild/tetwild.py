@@ -63,7 +63,8 @@ class TetWild(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> VolumeMesh:
         """Fill the surface, check volume and orientation, report the quality."""
-        from sppm_pipeline import ArraySpec, run_native
+        from sppm_pipeline import run_native
+        from sppm_pipeline.nouns import ArraySpec
 
         diagonal, area, enclosed = _checked(mesh)
         epsilon, edge = (
@@ -163,9 +164,9 @@ def _checked(mesh: SurfaceMesh) -> tuple[float, float, float]:
     InputError
         If the surface is empty, flat, open or inside out.
     """
-    from sppm_pipeline import mesh_area as surface_area
-    from sppm_pipeline import mesh_edges as edge_counts
-    from sppm_pipeline import mesh_volume as volume
+    from sppm_pipeline.numerics import mesh_area as surface_area
+    from sppm_pipeline.numerics import mesh_edges as edge_counts
+    from sppm_pipeline.numerics import mesh_volume as volume
 
     if not len(mesh.faces):
         raise InputError(f"{mesh.name} has no triangles")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline import hookimpl
 
 STAGES = {
     "read.compression": "ReadCompression",

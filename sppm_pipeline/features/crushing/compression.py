@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.nouns.report import TEXT, Number, Report, number, reports
+from sppm_pipeline import Report, frozen, number, reports
+from sppm_pipeline.nouns import TEXT, Number
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.pictures.chart_style import COLORS, figure_file, plain_text, styled
+from sppm_pipeline.pictures import CHART_COLORS as COLORS
+from sppm_pipeline.pictures import figure_file, plain_text, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

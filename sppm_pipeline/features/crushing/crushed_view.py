@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.grid import VOXEL_FACES
-from sppm_pipeline.services.pictures.camera import Camera
-from sppm_pipeline.services.pictures.mesh_view import render_mesh
+from sppm_pipeline.numerics import VOXEL_FACES
+from sppm_pipeline.pictures import Camera, render_mesh
 
 UPRIGHT = {"z": (0, 1, 2), "x": (1, 2, 0), "y": (2, 0, 1)}
 """Axes in the order that puts the axis of compression on top."""

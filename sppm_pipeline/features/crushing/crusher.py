@@ -12,14 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import ConfigError, Context, DesignError, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.features.crushing.compression import CrushedBody
 from sppm_pipeline.features.crushing.crush_report import PLATEAU, Table, mean_stress, numbers_of, warnings_of
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.crushing.numerics.body import Body
@@ -357,7 +352,7 @@ def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uin
 
 def _loose(image: NDArray[np.uint8]) -> list[str]:
     """Warnings for solid that carries nothing."""
-    from sppm_pipeline.method.connectivity.components import find_components
+    from sppm_pipeline.numerics import find_components
 
     found = find_components((image > 0).view(np.uint8), (False,) * 3, 6)
     spanning = found.faces[:, 4] & found.faces[:, 5]

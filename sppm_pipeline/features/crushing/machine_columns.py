@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline import InputError
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline import InputError
 from sppm_pipeline.features.crushing.machine_columns import NAMES, Column, chosen, columns_of, factor_of
 
 LARGEST_FILE = 512 * 2**20

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.nouns.report import TEXT, Number, Report, number, reports
+from sppm_pipeline import Report, number, reports
+from sppm_pipeline.nouns import TEXT, Number
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.flow.numerics.acoustics import PoreParameters

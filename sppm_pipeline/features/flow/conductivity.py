@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.nouns.report import TEXT, Report, number
+from sppm_pipeline import Report, frozen, number
+from sppm_pipeline.nouns import TEXT
 
 
 def check_transport(k: NDArray[np.float64], porosity: float, name: str, slack: float) -> None:

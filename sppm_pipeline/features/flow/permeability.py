@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import Report, frozen, number, reports
 from sppm_pipeline.features.flow.conductivity import check_transport
-from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, frozen
-from sppm_pipeline.nouns.report import TEXT, Box, Report, is_number, number, reports
+from sppm_pipeline.nouns import TEXT, Box, is_number
+from sppm_pipeline.pictures import NOTEBOOK_SIZE
 
 DARCY = 9.869233e-13
 """Square meters."""
@@ -148,7 +149,7 @@ class PermeabilityReport(Report):
         """The speed of the flow along an axis in a middle plane, (height, width, 3); the flow goes to the right."""
         from PIL import Image
 
-        from sppm_pipeline.services.pictures.sheets import colors_of, with_scale
+        from sppm_pipeline.pictures import colors_of, with_scale
 
         speed = self.slices[axis][::-1]
         solid = np.isnan(speed)

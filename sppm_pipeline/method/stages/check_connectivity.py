@@ -9,15 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Context, Palette, Rejected, ScalarField, Size, Stage, Tiling, option, options
 from sppm_pipeline.method.fields.level_field import LevelField
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.fields.wrapped import CleanedField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

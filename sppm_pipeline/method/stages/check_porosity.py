@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline import Context, Palette, Rejected, ScalarField, Size, Stage, option, options
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

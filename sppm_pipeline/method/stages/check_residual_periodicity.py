@@ -5,14 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline import Context, DesignError, Palette, Size, Stage, Tiling, options
 from sppm_pipeline.method.fields.wrapped import RepeatedField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import Context, DesignError, Stage, Tiling, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,15 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Cell, Connector, Context, DesignError, Length, PoreSet, TunnelGraph, option, options
 from sppm_pipeline.method.families.cloud import Cloud, Piece
-from sppm_pipeline.method.families.connector import Connector
 from sppm_pipeline.method.families.interiors import MANY
-from sppm_pipeline.method.nouns.pores import PoreSet
-from sppm_pipeline.method.nouns.tunnels import TunnelGraph
-from sppm_pipeline.nouns.length import Cell, Length
-from sppm_pipeline.stage import Context, option
 
 MOST = 3000
 """Pores of a piece up to which `exact` is used: a choice. The relaxation takes a second for 2000 and a quarter of a

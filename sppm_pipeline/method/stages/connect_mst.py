@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import Connector, Context
 from sppm_pipeline.method.families.cloud import Cloud, Piece
-from sppm_pipeline.method.families.connector import Connector
-from sppm_pipeline.stage import Context
 
 
 @dataclass(frozen=True, kw_only=True)

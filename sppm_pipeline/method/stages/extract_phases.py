@@ -9,17 +9,24 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import RESOLVED_WALL, ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.method.part.part import Part
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Headline,
+    Length,
+    Palette,
+    Part,
+    ScalarField,
+    Size,
+    Stage,
+    Voxels,
+    option,
+    options,
+)
+from sppm_pipeline.method.fields.scalar_field import RESOLVED_WALL
 from sppm_pipeline.method.stages.extract_voxels import ExtractVoxels, image_grid
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 MAX_PHASES = 255
 """Of an image of 8 bits, in which 0 is void."""

@@ -8,15 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline import Context, Palette, ResourceError, ScalarField, Size, Stage, Voxels, options
 from sppm_pipeline.services.formats.voxel_image import LARGEST_IMAGE
 from sppm_pipeline.services.grid import Grid, cell_centers
-from sppm_pipeline.stage import Context, Stage
 
 
 def image_grid(resolution: int, cells: tuple[int, int, int]) -> Grid:

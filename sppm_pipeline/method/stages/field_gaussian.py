@@ -9,22 +9,23 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.microstructure import (
-    CUTOFF,
-    LOWEST_LEVEL,
+from sppm_pipeline import (
+    Cell,
+    ConfigError,
+    Context,
+    Length,
     Microstructure,
-    finest_pitch,
-    pieces_from_graph,
+    Palette,
+    Size,
+    Stage,
+    TunnelGraph,
+    option,
+    options,
 )
+from sppm_pipeline.method.fields.microstructure import CUTOFF, LOWEST_LEVEL, finest_pitch, pieces_from_graph
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
 from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
-from sppm_pipeline.method.nouns.tunnels import TunnelGraph
-from sppm_pipeline.nouns.length import Cell, Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Geometry, Size
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.nouns.size import Geometry
 
 NARROWEST, WIDEST = 1e-3, 8.0
 """Cell sizes from the axis of a kernel to where it is cut off."""

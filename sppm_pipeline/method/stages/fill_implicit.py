@@ -10,17 +10,23 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Headline,
+    InputError,
+    Length,
+    Palette,
+    Part,
+    ScalarField,
+    Size,
+    Stage,
+    SurfaceMesh,
+    option,
+    options,
+)
 from sppm_pipeline.method.families.inside_test import outward_mesh
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.formats.input_file import content_of
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 FEWEST_CELLS = 2
 """Along the longest side of a part; a smaller one is seldom meant."""

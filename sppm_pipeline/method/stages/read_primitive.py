@@ -9,12 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Geometry, Size
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import Context, Length, Palette, Size, Stage, SurfaceMesh, option, options
+from sppm_pipeline.nouns.size import Geometry
 
 SHAPES = ("box", "ball", "cylinder", "torus", "torus_knot")
 

@@ -8,15 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Cell, ConfigError, Context, Length, PoreSet, Sampler, option, options
 from sppm_pipeline.method.families.interiors import MANY, InteriorBox, Interiors
-from sppm_pipeline.method.families.sampler import Sampler
 from sppm_pipeline.method.families.scattered import with_darts
-from sppm_pipeline.method.nouns.pores import PoreSet
-from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.nouns.palette import Blocks
-from sppm_pipeline.stage import Context, option
 
 HALF_PACKED = 0.5
 """Fraction of the packing limit at which a number of pores is thrown if nothing says how close they may come: blue

@@ -8,10 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Sampler, option, options
 from sppm_pipeline.method.families.interiors import InteriorBox
-from sppm_pipeline.method.families.sampler import Sampler
-from sppm_pipeline.stage import option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,14 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Cell, ConfigError, Context, Length, PoreSet, Sampler, option, options
 from sppm_pipeline.method.families.interiors import InteriorBox, Meetings
-from sppm_pipeline.method.families.sampler import Sampler
-from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.stages.sample_dart_throwing import HALF_PACKED
-from sppm_pipeline.nouns.length import Cell, Length
-from sppm_pipeline.stage import Context, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.sampling.structure_factor import Waves

@@ -8,15 +8,22 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import (
+    Cell,
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Palette,
+    PoreSet,
+    Size,
+    Stage,
+    option,
+    options,
+)
 from sppm_pipeline.method.families.sampler import design_of, start_of
 from sppm_pipeline.method.families.scattered import with_darts
-from sppm_pipeline.method.nouns.pores import PoreSet
-from sppm_pipeline.nouns.length import Cell, Length
-from sppm_pipeline.nouns.palette import Blocks, Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.nouns.palette import Blocks
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,18 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline import ConfigError, Context, Length, Palette, Part, ScalarField, Size, SliceStack, Stage, options
 from sppm_pipeline.method.nouns.printer import Printer, cut_for
-from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing.sampled_slices import FieldSlices
-from sppm_pipeline.method.slicing.slice_stack import SliceStack, stack_size
-from sppm_pipeline.nouns.length import Length, Pixel
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.method.slicing.slice_stack import stack_size
+from sppm_pipeline.nouns.length import Pixel
 from sppm_pipeline.services.grid import Grid, covering_voxels
-from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)

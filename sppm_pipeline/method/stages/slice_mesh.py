@@ -8,18 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Context, DesignError, Length, Palette, Size, SliceStack, Stage, SurfaceMesh, option, options
 from sppm_pipeline.method.families.inside_test import outward_mesh
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.printer import Printer, cut_for
 from sppm_pipeline.method.slicing.sampled_slices import MeshSlices
-from sppm_pipeline.method.slicing.slice_stack import SliceStack, stack_size
-from sppm_pipeline.nouns.length import Length, Pixel
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.method.slicing.slice_stack import stack_size
+from sppm_pipeline.nouns.length import Pixel
 from sppm_pipeline.services.grid import Grid, covering_voxels
-from sppm_pipeline.stage import Context, Stage, option
 
 MAX_PIXELS = 2**31
 """Pixels of a layer; more are a mistaken unit."""

@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families.tiler import Tiler
-from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline import Tiler, TileSet
 
 
 @dataclass(frozen=True, kw_only=True)

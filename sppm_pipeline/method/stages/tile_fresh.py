@@ -5,9 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Microstructure,
+    Palette,
+    Recipe,
+    RecipeSize,
+    Size,
+    Stage,
+    SurfaceMesh,
+    TileSet,
+    Tiling,
+    option,
+    options,
+)
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.tiler import (
     HALO,
     at_porosity,
@@ -18,14 +33,6 @@ from sppm_pipeline.method.families.tiler import (
     tiling_size,
 )
 from sppm_pipeline.method.families.tileset_maker import check_faces
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

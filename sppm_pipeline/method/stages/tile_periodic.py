@@ -7,20 +7,24 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Length,
+    Microstructure,
+    Palette,
+    ScalarField,
+    Size,
+    Stage,
+    SurfaceMesh,
+    TileSet,
+    Tiling,
+    option,
+    options,
+)
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.fields.wrapped import RepeatedField
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

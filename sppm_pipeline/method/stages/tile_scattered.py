@@ -5,8 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Microstructure,
+    Palette,
+    Recipe,
+    RecipeSize,
+    Size,
+    Stage,
+    SurfaceMesh,
+    Tiling,
+    options,
+)
 from sppm_pipeline.method.families.tiler import (
     HALO,
     ROOM,
@@ -21,13 +34,7 @@ from sppm_pipeline.method.families.tiler import (
     tiling_size,
     without_faces,
 )
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Blocks, Maps, Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Recipe, Stage
+from sppm_pipeline.nouns.palette import Blocks, Maps
 
 
 @dataclass(frozen=True, kw_only=True)

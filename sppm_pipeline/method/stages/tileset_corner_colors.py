@@ -7,10 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline import Palette, TileSetMaker, options
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.tileset_maker import TileSetMaker
-from sppm_pipeline.nouns.palette import Palette
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,15 +8,22 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Microstructure,
+    Palette,
+    Recipe,
+    RecipeSize,
+    ScalarField,
+    Size,
+    Stage,
+    option,
+    options,
+)
 from sppm_pipeline.services.grid import Grid, cell_centers
-from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 Options = dict[str, dict[str, Any]]
 

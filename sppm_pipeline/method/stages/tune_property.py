@@ -10,14 +10,23 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Headline,
+    Palette,
+    Recipe,
+    RecipeSize,
+    ScalarField,
+    Size,
+    Stage,
+    option,
+    options,
+)
 from sppm_pipeline.method.families.tuner import FIRST, HIGH, LOW, VARY, missed, options_at, varied_option
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
 from sppm_pipeline.services.target_search import relative_error, search
-from sppm_pipeline.stage import Context, Headline, Observed, Recipe, Stage, option
+from sppm_pipeline.stage import Observed
 
 Numbers = float | tuple[float, float]
 Words = str | tuple[str, str]

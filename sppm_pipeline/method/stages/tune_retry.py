@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
+from sppm_pipeline import Context, DesignError, Palette, Recipe, RecipeSize, Rejected, Size, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

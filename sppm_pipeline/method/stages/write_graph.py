@@ -6,13 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Context, Microstructure, Palette, Size, Stage, TunnelGraph, options
 from sppm_pipeline.method.families.file_writer import extension_of
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.nouns.tunnels import TunnelGraph
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)

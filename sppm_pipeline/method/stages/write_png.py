@@ -8,11 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.layer_writer import LayerWriter
-from sppm_pipeline.method.slicing.slice_stack import SliceStack
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import ConfigError, Context, LayerWriter, SliceStack, option, options
 
 
 @dataclass(frozen=True, kw_only=True)

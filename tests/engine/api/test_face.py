@@ -12,24 +12,38 @@ from typing import get_args
 import pytest
 
 import sppm_pipeline as sppm
-from sppm_pipeline import hookspecs
+from sppm_pipeline import errors, hookspecs
 
-TREE = ast.parse(Path(sppm.__file__).read_text(encoding="utf-8"))
+FACES = {"sppm_pipeline": sppm} | {
+    name: importlib.import_module(name)
+    for name in (f"sppm_pipeline.{face}" for face in ("nouns", "numerics", "pictures", "formats"))
+}
 
 
 def in_a_fresh_process(code):
     return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
 
 
-def test_every_public_name_is_there_and_listed():
-    assert len(set(sppm.__all__)) == len(sppm.__all__)
-    for name in sppm.__all__:
-        assert getattr(sppm, name) is not None
-    assert set(sppm.__all__) <= set(dir(sppm))
+@pytest.mark.parametrize("face", FACES.values(), ids=FACES)
+def test_every_public_name_is_there_and_listed(face):
+    assert sorted(set(face.__all__)) == face.__all__
+    for name in face.__all__:
+        assert getattr(face, name) is not None
+    assert set(face.__all__) <= set(dir(face))
+
+
+def test_the_face_is_small_and_says_where_other_names_are():
+    assert len(sppm.__all__) <= 80
+    with pytest.raises(AttributeError, match=r"it is sppm_pipeline\.numerics\.jit"):
+        sppm.jit  # noqa: B018
+    with pytest.raises(AttributeError, match="did you mean 'Sampler'"):
+        sppm.Smapler  # noqa: B018
+    assert sppm.nouns is FACES["sppm_pipeline.nouns"]
     with pytest.raises(AttributeError, match="no attribute 'dart_throwing'"):
         sppm.dart_throwing  # noqa: B018
 
 
+PUBLIC = (*map(vars, FACES.values()), vars(errors))
 OWN = {
     "Part.cut_zyx",  # what ends so is for the kernels of the program
     "Microstructure.laid_signs",
@@ -46,8 +60,9 @@ OWN = {
 
 def signatures():
     """Fields, methods and functions of the public face, and its hooks."""
-    for name in sppm.__all__:
-        thing = inspect.unwrap(getattr(sppm, name))
+    for name, thing in {
+        n: inspect.unwrap(getattr(owner, n)) for owner in FACES.values() for n in owner.__all__
+    }.items():
         yield name, thing
         for member in dir(thing) if isinstance(thing, type) else ():
             if member == "__init__" or not member.startswith("_"):
@@ -97,22 +112,28 @@ def test_whatever_a_public_signature_names_is_public():
             continue
         for word, value in named(thing):
             seen.add(word)
-            if word not in sppm.__all__ or getattr(sppm, word) is not value:
+            if not any(value is public for face in PUBLIC for public in face.values()):
                 missing.setdefault(word, []).append(place)
     assert missing == {}
     assert {"Cloud", "EncodedLayers", "Law", "RecipeSize", "StageEvent", "VoxelCell"} <= seen
 
 
-def test_type_checkers_see_the_same_names_in_the_same_places():
-    (block,) = (node for node in TREE.body if isinstance(node, ast.If))
+@pytest.mark.parametrize("face", FACES.values(), ids=FACES)
+def test_type_checkers_see_the_same_names_in_the_same_places(face):
+    tree = ast.parse(Path(face.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
     seen = {
-        alias.asname or alias.name: (node.module.removeprefix("sppm_pipeline."), alias.name)
+        (node.module.removeprefix("sppm_pipeline."), alias.name, alias.asname)
         for node in block.body
-        if isinstance(node, ast.ImportFrom) and node.module != "typing"
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("sppm_pipeline.")
         for alias in node.names
     }
-    assert seen == sppm._PLACE_OF
-    assert set(seen) == set(sppm.__all__)
+    listed = {
+        (module, there or public, public)
+        for module, names in face._PLACES.items()
+        for public, _, there in (entry.partition("=") for entry in names.split())
+    }
+    assert seen == listed
     assert (Path(sppm.__file__).parent / "py.typed").is_file()
 
 

@@ -67,11 +67,11 @@ def test_random_numbers_need_a_seed():
 
 
 def test_what_does_not_fit_is_refused(cell):
-    with pytest.raises(sppm.WiringError, match="can't take Microstructure: pores takes PoreSet"):
+    with pytest.raises(sppm.errors.WiringError, match="can't take Microstructure: pores takes PoreSet"):
         sppm.connect.mst(cell)
-    with pytest.raises(sppm.WiringError, match="can't take Microstructure"):
+    with pytest.raises(sppm.errors.WiringError, match="can't take Microstructure"):
         sppm.connect.mst(pores=cell)
-    with pytest.raises(sppm.WiringError, match="for the port 'domain'"):
+    with pytest.raises(sppm.errors.WiringError, match="for the port 'domain'"):
         sppm.fill.implicit()(sppm.tile.periodic(cells=[2, 2, 2], cell="2 mm")(cell))
     with pytest.raises(sppm.ConfigError, match="`seed` belongs to the second call"):
         sppm.connect.mst(seed=1)

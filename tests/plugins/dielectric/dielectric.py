@@ -37,12 +37,12 @@ class PermittivityReport(sppm.Report, sppm.Viewable):
         """Permittivity in the planes over that across."""
         return float(self.relative[0] / self.relative[2])
 
-    def live_view(self) -> sppm.Surface:
+    def live_view(self) -> sppm.nouns.Surface:
         """An octahedron with the permittivities as half axes."""
         ends = np.concatenate([np.diag(self.relative), -np.diag(self.relative)])
         faces = [(a, b, c) for c in (2, 5) for a, b in ((0, 1), (1, 3), (3, 4), (4, 0))]
         outward = [f if np.linalg.det(ends[list(f)]) > 0 else (f[1], f[0], f[2]) for f in faces]
-        return sppm.Surface(ends, np.array(outward), "permittivity", "of vacuum's")
+        return sppm.nouns.Surface(ends, np.array(outward), "permittivity", "of vacuum's")
 
     def picture(self) -> NDArray[np.uint8]:
         """The laminate: a row of light pixels for the first phase, of dark ones for the second."""
@@ -50,12 +50,12 @@ class PermittivityReport(sppm.Report, sppm.Viewable):
         return np.broadcast_to(rows[:, None, None], (32, 32, 3)).copy()
 
     @classmethod
-    def report_charts(cls, summary: Mapping[str, Any]) -> list[sppm.Chart]:
+    def report_charts(cls, summary: Mapping[str, Any]) -> list[sppm.nouns.Chart]:
         """Permittivity over the directions of the plane zx."""
         turn = np.linspace(0, 2 * np.pi, 73)
         across, along = summary["relative"][2], summary["relative"][0]
-        curve = sppm.Curve(turn, across * np.cos(turn) ** 2 + along * np.sin(turn) ** 2, "zx plane")
-        return [sppm.Chart([curve], "permittivity over direction", polar=True)]
+        curve = sppm.nouns.Curve(turn, across * np.cos(turn) ** 2 + along * np.sin(turn) ** 2, "zx plane")
+        return [sppm.nouns.Chart([curve], "permittivity over direction", polar=True)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +76,10 @@ class HomogenizeLaminate(sppm.Stage):
 
 
 @sppm.hookimpl
-def sppm_report_sections(record: Mapping[str, Any]) -> Sequence[sppm.ReportSection]:
+def sppm_report_sections(record: Mapping[str, Any]) -> Sequence[sppm.nouns.ReportSection]:
     """A section of all laminates of the run."""
     found = [s["summary"] for s in record["stages"] if s["stage"] == HomogenizeLaminate.name and s["summary"]]
     rows = [(f"laminate {n}", one["relative"]) for n, one in enumerate(found, 1)]
-    curve = sppm.Curve([one["share"] for one in found], [one["anisotropy"] for one in found], points=True)
-    chart = sppm.Chart([curve], "share", "anisotropy")
-    return [sppm.ReportSection("Laminates <of> the run", "Mixed exactly.", rows, [chart])] if found else []
+    curve = sppm.nouns.Curve([one["share"] for one in found], [one["anisotropy"] for one in found], points=True)
+    chart = sppm.nouns.Chart([curve], "share", "anisotropy")
+    return [sppm.nouns.ReportSection("Laminates <of> the run", "Mixed exactly.", rows, [chart])] if found else []

@@ -239,7 +239,7 @@ def test_of_installed_packages_the_release_counts_and_what_may_hold_kernels(plac
 PROFILE = """
 import numpy as np
 
-from sppm_pipeline import inline_jit
+from sppm_pipeline.numerics import inline_jit
 
 POWER = 3
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sppm_pipeline import inline_jit, jit
+from sppm_pipeline.numerics import inline_jit, jit
 
 
 class Pair(NamedTuple):

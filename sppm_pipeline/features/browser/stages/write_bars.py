@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import Table, check_columns
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, Table, option, options
+from sppm_pipeline.nouns.table import check_columns
 
 MAX_ROWS = 200
 """Maximum number of rows of a chart of readable size."""

@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import Table
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, Table, option, options
 
 if TYPE_CHECKING:
     from sppm_pipeline.services.pictures.charts import Series

@@ -5,7 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Palette,
+    ScalarField,
+    Size,
+    Stage,
+    SurfaceMesh,
+    TileSet,
+    Voxels,
+    option,
+    options,
+)
 from sppm_pipeline.features.browser.live.pictures import (
     MAX_SAMPLES,
     MAX_TILES,
@@ -14,14 +26,6 @@ from sppm_pipeline.features.browser.live.pictures import (
     tile_sheet,
     voxel_picture,
 )
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,12 +11,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import RunFile, Table
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import ConfigError, Context, InputError, Palette, Size, Stage, Table, option, options
+from sppm_pipeline.nouns.table import RunFile
 
 MAX_PICTURES = 400
 """Pictures on a sheet."""

@@ -7,12 +7,9 @@ import io
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Context, Palette, Size, Stage, Table, option, options
 from sppm_pipeline.method.families.file_writer import extension_of
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import Table, check_columns
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.nouns.table import check_columns
 
 
 @dataclass(frozen=True, kw_only=True)

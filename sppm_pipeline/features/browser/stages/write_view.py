@@ -5,15 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline import Context, Palette, ScalarField, Size, Stage, TileSet, Viewable, option, options
 from sppm_pipeline.features.browser.live.data import head_of
 from sppm_pipeline.features.browser.live.views import SAMPLES, view_of
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.nouns.artifact import Viewable
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

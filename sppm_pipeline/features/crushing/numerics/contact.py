@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.numerics import jit
 
 DIAMETER = 0.56
 """Of a ball, in voxel edges; two blocks then touch when their gap has closed to within a tenth of a voxel."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.crushing.numerics.material import ALPHA, DISSIPATED, LANES, PLASTIC, STORED, YIELD, stresses
-from sppm_pipeline.services.jit.compiled import inline_jit, jit
+from sppm_pipeline.numerics import inline_jit, jit
 
 #: Rows of scratch: 24 of corners or modes, 9 deformation gradient, 10 state, 9 stress, yield stress, hardening,
 #: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain.

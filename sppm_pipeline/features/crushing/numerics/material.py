@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.jit.compiled import inline_jit
+from sppm_pipeline.numerics import inline_jit
 
 LANES = 32
 """Elements of a block: they have one material, and what is alive of them lies in a scratch array whose rows have a

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.numerics import jit
 
 CHUNK = 1024
 """Nodes that are summed together."""

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline import Context, Headline, Palette, ScalarField, Size, Voxels
 from sppm_pipeline.features.crushing.compression import CrushedBody
 from sppm_pipeline.features.crushing.crusher import Crusher
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import ConfigError, Context, DesignError, Headline, Palette, Size, Stage, Table, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.numerics.compression import work_ratio
 from sppm_pipeline.features.crushing.numerics.curve_measures import Measure, Specimen, measures
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import Table
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 NUMBERS = (
     "plateau_stress", "plateau_end", "energy_to_strain", "energy_efficiency_to_strain", "energy_to_plateau_end",

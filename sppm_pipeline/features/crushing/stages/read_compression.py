@@ -9,15 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline import ConfigError, Context, Headline, InputError, Length, Palette, Size, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.machine_columns import UNITS
 from sppm_pipeline.features.crushing.machine_csv import LARGEST_FILE, Readings, read_readings
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 BACK = 0.01
 """Share of the height by which the displacement may go back before it counts as unloading."""
@@ -120,7 +115,7 @@ class ReadCompression(Stage):
     def _readings(self, path: Path) -> Readings:
         """What the file holds, compression positive."""
         from sppm_pipeline.features.crushing.numerics.correction import turned
-        from sppm_pipeline.services.formats.input_file import content_of
+        from sppm_pipeline.formats import content_of
 
         data = content_of(path, LARGEST_FILE)
         read = read_readings(data, path.name, columns=self.columns, units=self.units, decimal=self.decimal)

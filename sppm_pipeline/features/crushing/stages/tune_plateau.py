@@ -5,13 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+from sppm_pipeline import Context, Headline, Palette, Recipe, RecipeSize, ScalarField, Size, Tuner, option, options
 from sppm_pipeline.features.crushing.crusher import Crusher
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.tuner import Tuner
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,15 +11,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import Context, DesignError, Palette, Size, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.numerics.compression import efficiency, loading, mean_and_spread
 from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, percent
 from sppm_pipeline.features.crushing.stages.measure_compression import check_plateau, measured
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.crushing.compression_chart import Line
@@ -50,7 +46,7 @@ class WriteCurves(Stage):
 
     def check_options(self) -> None:
         """A chart that can be drawn."""
-        from sppm_pipeline.services.pictures.chart_style import check_chart
+        from sppm_pipeline.pictures import check_chart
 
         check_chart(self.path, title=self.title)
         check_plateau(self.plateau)

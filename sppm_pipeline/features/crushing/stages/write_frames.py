@@ -9,11 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import Context, Palette, Size, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CrushedBody
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 PER_ROW = 6
 """Frames in a row of the strip, a choice."""
@@ -58,9 +55,8 @@ class WriteFrames(Stage):
         from PIL import Image
 
         from sppm_pipeline.features.crushing.crushed_view import frame_pictures
-        from sppm_pipeline.services.formats.vtu import encode_hexahedra
-        from sppm_pipeline.services.pictures.camera import Camera
-        from sppm_pipeline.services.pictures.sheets import contact_sheet, with_scale
+        from sppm_pipeline.formats import encode_hexahedra
+        from sppm_pipeline.pictures import Camera, contact_sheet, with_scale
 
         folder = context.output(self.path)
         folder.mkdir(parents=True)
@@ -100,8 +96,7 @@ class WriteFrames(Stage):
 
 def _colors(body: CrushedBody, by: str, top: float) -> Iterator[NDArray[np.uint8]]:
     """Colors of the voxels, frame by frame."""
-    from sppm_pipeline.services.pictures.shading import BONE
-    from sppm_pipeline.services.pictures.sheets import colors_of
+    from sppm_pipeline.pictures import BONE, colors_of
 
     for alpha in body.frame_alpha:
         if by == "phase" and body.phases.max() > 1:

@@ -11,14 +11,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import UNITS_IN_MM, Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Geometry, Size
+from sppm_pipeline import ConfigError, Context, InputError, Length, Palette, Size, Stage, SurfaceMesh, option, options
+from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.services.formats.input_file import content_of, require_file
-from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST_FILE = 2 * 2**30
 """Bytes; larger files are refused before they are read."""

@@ -9,11 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import ConfigError, Context, InputError, Length, Stage, Voxels, option, options
 
 
 @dataclass(frozen=True, kw_only=True)

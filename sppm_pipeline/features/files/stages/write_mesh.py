@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import sppm_pipeline
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import ConfigError, Context, DesignError, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.method.families.file_writer import (
     ADVICE,
     extension_of,
@@ -16,10 +15,7 @@ from sppm_pipeline.method.families.file_writer import (
     require_triangles,
     write_pieces,
 )
-from sppm_pipeline.method.nouns.mesh import RepeatedMesh, SurfaceMesh
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.method.nouns.mesh import RepeatedMesh
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.files.piece_file import PieceFile

@@ -6,12 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.method.families import options
+from sppm_pipeline import Context, Palette, Size, Stage, Voxels, options
 from sppm_pipeline.method.families.file_writer import extension_of, require_format, write_pieces
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
 
 FORMATS = (".npy", ".tif", ".tiff", ".vti", ".nrrd")
 

@@ -16,10 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.flow.numerics.seven_point import SevenPointLevel
-from sppm_pipeline.services.jit.compiled import inline_jit, jit
-from sppm_pipeline.services.multigrid.hierarchy import Workspace
-from sppm_pipeline.services.multigrid.rows import RESIDUAL, SMOOTH
-from sppm_pipeline.services.multigrid.vectors import dense_product, weighted
+from sppm_pipeline.numerics import RESIDUAL, SMOOTH, Workspace, dense_product, inline_jit, jit, weighted
 
 _DENSE = 60
 """Unknowns of the coarsest graph, unless it is one block; so few that no library uses threads for its matrix."""

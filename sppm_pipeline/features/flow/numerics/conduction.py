@@ -11,11 +11,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.jit.compiled import inline_jit, jit
-from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace, coarser, node_sums, padded
-from sppm_pipeline.services.multigrid.rows import APPLY, BLOCK, HEAD, LANES, STRIDE, finish_row, gather_row, scatter_row
-from sppm_pipeline.services.multigrid.solver import Solved, Stop, load_cases
-from sppm_pipeline.services.multigrid.transfer import coarsened, coarser_widths, shortness
+from sppm_pipeline.numerics import (
+    APPLY,
+    BLOCK,
+    HEAD,
+    LANES,
+    STRIDE,
+    Hierarchy,
+    Solved,
+    Workspace,
+    coarsened,
+    coarser,
+    coarser_widths,
+    finish_row,
+    gather_row,
+    inline_jit,
+    jit,
+    load_cases,
+    node_sums,
+    padded,
+    scatter_row,
+    shortness,
+)
+from sppm_pipeline.numerics import SolverStop as Stop
 
 _LAYERS = 8
 """Layers of voxels whose energies are summed at once; a constant, so that sums do not depend on threads."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.numerics import Grid
 
 _NEAREST = 0.05
 """Least distance between a face and a wall in edges of a voxel; nearer walls would only spoil the condition."""
@@ -204,7 +204,7 @@ class Percolation(NamedTuple):
 
 def percolating(faces: Faces) -> Percolation:
     """Leave out pockets: a pressure balances whatever drives the fluid in them."""
-    from sppm_pipeline.method.connectivity.components import find_components, paint_runs
+    from sppm_pipeline.numerics import find_components, paint_runs
 
     nz, ny, nx = faces.active[0].shape
     # voxels and the faces between them on one grid, where neighbors are connected

@@ -155,8 +155,8 @@ def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1)
     from scipy.ndimage import map_coordinates
     from scipy.spatial import KDTree
 
-    from sppm_pipeline.services.mesh.closing import wrapped
-    from sppm_pipeline.services.mesh.marching_cubes import marching_cubes
+    from sppm_pipeline.numerics import closed_across as wrapped
+    from sppm_pipeline.numerics import marching_cubes
 
     n = values.shape[0]
     vertices = marching_cubes(wrapped(values), 0.0, (0.5 / n,) * 3, (1 / n,) * 3)[0]

@@ -14,9 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.jit.compiled import inline_jit, jit
-from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace, coarser
-from sppm_pipeline.services.multigrid.rows import BLOCK, HEAD, STRIDE, finish_row
+from sppm_pipeline.numerics import BLOCK, HEAD, STRIDE, Hierarchy, Workspace, coarser, finish_row, inline_jit, jit
 
 #: Rows of scratch: a row of unknowns, the weights along it, what becomes of it.
 SCRATCH_ROWS = 3

@@ -26,11 +26,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.features.flow.numerics.channel_grids import ChannelGrids, ChannelWork
 from sppm_pipeline.features.flow.numerics.faces import Faces
 from sppm_pipeline.features.flow.numerics.seven_point import SCRATCH_ROWS, SevenPointLevel, hierarchy_of
-from sppm_pipeline.services.jit.compiled import inline_jit, jit
-from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace
-from sppm_pipeline.services.multigrid.rows import APPLY, STRIDE
-from sppm_pipeline.services.multigrid.solver import Solved, Stop, solve
-from sppm_pipeline.services.multigrid.vectors import dot
+from sppm_pipeline.numerics import APPLY, STRIDE, Hierarchy, Solved, Workspace, dot, inline_jit, jit, solve
+from sppm_pipeline.numerics import SolverStop as Stop
 
 _CONDUCTS = 0.35
 """Part of the torsion field that conducts pressure. Measured on cells of the paper, graphs and blobs of porosities from

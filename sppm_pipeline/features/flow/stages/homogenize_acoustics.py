@@ -7,15 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import Context, DesignError, Length, Palette, ScalarField, Size, option, options
 from sppm_pipeline.features.flow.acoustics import AcousticReport
 from sppm_pipeline.features.flow.stages.homogenize_permeability import FlowHomogenizer
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, option
 
 SHIFT = 0.5
 """By how many voxels walls are moved either way to find the viscous length; a choice. The error is of second order."""
@@ -99,7 +93,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
     def _conduction(self, context: Context, source: ScalarField, shift: float, axis: int) -> tuple[float, float]:
         """Relative conductivity of the void along an axis and its porosity, walls moved by so many voxels."""
         from sppm_pipeline.features.flow.numerics.conduction import conductivity
-        from sppm_pipeline.method.porosity.fractions import solid_fractions
+        from sppm_pipeline.numerics import solid_fractions
 
         x, y, z = (self.resolution * n for n in source.cells)
         solid = solid_fractions(

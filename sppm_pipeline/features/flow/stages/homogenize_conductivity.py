@@ -9,15 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Homogenizer, Palette, ScalarField, Size, Voxels, option, options
 from sppm_pipeline.features.flow.conductivity import ConductivityReport
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.homogenizer import Homogenizer, VoxelCell, per_phase
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline.nouns import VoxelCell
+from sppm_pipeline.numerics import per_phase
 
 WALL = 3
 """Voxels across a wall from which on no partly filled voxel lets anything through, as measured on flat walls along
@@ -77,7 +72,7 @@ class HomogenizeConductivity(Homogenizer):
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases."""
         from sppm_pipeline.features.flow.numerics.conduction import conductivity, tortuosity
-        from sppm_pipeline.method.connectivity.components import phase_report
+        from sppm_pipeline.numerics import phase_report
 
         cell = self.cell_of(context, source)
         if self.of != "void":
@@ -112,7 +107,7 @@ class HomogenizeConductivity(Homogenizer):
 
     def _leaks(self, source: ScalarField | Voxels, cell: VoxelCell, k: NDArray[Any]) -> list[str]:
         """Warnings for flow through walls that are too thin for the voxels."""
-        from sppm_pipeline.method.connectivity.components import phase_report
+        from sppm_pipeline.numerics import phase_report
 
         flows = k > LEAK * self._bulk()[0]
         if self.of != "void" or cell.fraction is None or not flows.any():

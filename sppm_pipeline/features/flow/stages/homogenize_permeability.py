@@ -8,18 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import Context, DesignError, Homogenizer, Length, Palette, ScalarField, Size, Voxels, option, options
 from sppm_pipeline.features.flow.numerics.faces import Faces
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.homogenizer import Homogenizer, grids_below, refined
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline.numerics import cell_centers, grids_below, refined
 
 ORDER = 1.5
 """Order of convergence that is taken for two grids, a cautious choice: on a cell of the paper 2.5 to 2.8 are measured

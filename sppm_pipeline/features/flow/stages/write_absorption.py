@@ -8,11 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline import Context, Palette, Size, Stage, options
 from sppm_pipeline.features.flow.acoustics import AcousticReport
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
 
 CURVE = np.geomspace(50.0, 6400.0, 281)
 """Frequencies of the curve, Hz: 40 an octave."""
@@ -35,7 +32,7 @@ class WriteAbsorption(Stage):
 
     def check_options(self) -> None:
         """A chart that can be drawn."""
-        from sppm_pipeline.services.pictures.chart_style import check_chart
+        from sppm_pipeline.pictures import check_chart
 
         check_chart(self.path, title=self.title)
 
@@ -45,7 +42,7 @@ class WriteAbsorption(Stage):
     def run(self, context: Context, report: AcousticReport) -> None:
         """Compute the curve, draw and write."""
         from sppm_pipeline.features.flow.numerics.acoustics import air
-        from sppm_pipeline.services.pictures.charts import Series, chart
+        from sppm_pipeline.pictures import Series, chart
 
         curve, impedance = report.absorption(CURVE)
         bands = report.bands()

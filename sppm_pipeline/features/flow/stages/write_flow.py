@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline import Context, Palette, Size, Stage, options
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
-from sppm_pipeline.method.families import options
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,16 +10,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Headline,
+    Length,
+    Microstructure,
+    Palette,
+    Size,
+    Stage,
+    options,
+)
 from sppm_pipeline.features.flow.permeability import DARCY
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.file_writer import extension_of
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Headline, Stage
+from sppm_pipeline.formats import extension_of
+from sppm_pipeline.numerics import cell_centers
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.flow.numerics.pore_network import CutNetwork, Measured

@@ -10,22 +10,28 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Headline,
+    Palette,
+    Part,
+    Recipe,
+    ScalarField,
+    Size,
+    Stage,
+    TileSet,
+    Tiling,
+    options,
+)
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.features.grading.graded import trial
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.grading_data import StiffnessLaw
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE, error_summary, filled_cells
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.nouns.palette import Blocks, Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Headline, Recipe, Stage
 
 ROOM = 3
 """Most cells along an edge of the box in which the noise of a homogeneous structure is measured."""

@@ -8,16 +8,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Palette, ScalarField, Size, Stage, option
 from sppm_pipeline.features.grading.blended import BlendedField
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import filled_cells
 from sppm_pipeline.features.grading.numerics.normal_scores import score_table
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

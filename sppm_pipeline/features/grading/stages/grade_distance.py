@@ -9,15 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Length, Palette, Size, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.grading_data import DistanceLaw
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Palette, Size, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.grading import (
     BOX_COORDINATES,
@@ -20,10 +20,6 @@ from sppm_pipeline.features.grading.grading import (
 )
 from sppm_pipeline.features.grading.grading_data import DistanceLaw
 from sppm_pipeline.features.grading.numerics.expression import Expression, names_in
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, option
 
 PLACES = (*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE)
 

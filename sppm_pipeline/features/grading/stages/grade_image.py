@@ -8,13 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Length, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.grading_data import ImageLaw
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import UNITS_IN_MM, Length
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline.nouns.length import UNITS_IN_MM
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline import ConfigError, Context, InputError, Length, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.grading_data import NodesLaw
 from sppm_pipeline.features.grading.numerics.expression import nearest
@@ -21,12 +21,9 @@ from sppm_pipeline.features.grading.numerics.samples import (
     tetrahedra_of,
     volumes,
 )
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import UNITS_IN_MM, Length
+from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.formats.hexahedra_file import LARGEST_FILE, READERS
 from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
-from sppm_pipeline.stage import Context, option
 
 _AXES = ("x", "y", "z")
 COMPONENTS = {

@@ -9,13 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline import Context, InputError, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.grading_data import PointsLaw
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
-from sppm_pipeline.stage import Context, option
 
 MOST_LINEAR = 200_000
 """Points that Delaunay's tetrahedra are built of: some ten seconds."""

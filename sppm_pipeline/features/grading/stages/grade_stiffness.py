@@ -9,17 +9,24 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Headline,
+    InputError,
+    Palette,
+    Recipe,
+    RecipeSize,
+    Size,
+    SurfaceMesh,
+    option,
+    options,
+)
 from sppm_pipeline.built_in import stage_class
-from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.grading.graded import curve_of, recipe_total, trial
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.grading_data import StiffnessLaw
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 TRIED = 6
 """Numbers of pores that are usually tried to cover porosities from .3 to .8."""

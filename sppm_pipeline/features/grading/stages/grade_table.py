@@ -8,16 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Palette, Size, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.grading import COORDINATES, Grading, TableLaw
 from sppm_pipeline.features.grading.numerics.expression import nearest
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, option
 
 
 @dataclass(frozen=True, kw_only=True)

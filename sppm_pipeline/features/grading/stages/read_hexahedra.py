@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from sppm_pipeline import Context, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, size_of_mesh
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Geometry, Size
+from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

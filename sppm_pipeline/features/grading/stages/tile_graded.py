@@ -8,7 +8,21 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import (
+    Context,
+    DesignError,
+    Length,
+    Palette,
+    Recipe,
+    RecipeSize,
+    Size,
+    Stage,
+    SurfaceMesh,
+    TileSet,
+    Tiling,
+    option,
+    options,
+)
 from sppm_pipeline.features.grading.graded import (
     check_round,
     curve_of,
@@ -23,17 +37,9 @@ from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size
 from sppm_pipeline.method.families.tileset_maker import check_faces
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 BESIDE = 0.25
 """Cell sizes on either side of a face at which the map is asked for its number of pores: a choice."""

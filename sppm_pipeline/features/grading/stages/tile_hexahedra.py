@@ -7,20 +7,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Length,
+    Palette,
+    Recipe,
+    RecipeSize,
+    Size,
+    Stage,
+    Tiling,
+    option,
+    options,
+)
 from sppm_pipeline.features.grading.curved_porosity import FINER, FINEST, most_samples
 from sppm_pipeline.features.grading.graded import trial
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.hexahedra import cells_of_mesh, check_path, size_of_mesh
 from sppm_pipeline.features.grading.hexahedral_cloud import RIM, HexahedralCloud
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.tiler import ROOM
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
-from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch")
 """Maps that other stages follow which scatter pores."""

@@ -9,24 +9,30 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Palette,
+    Size,
+    Stage,
+    SurfaceMesh,
+    Tiler,
+    TileSet,
+    Tiling,
+    option,
+    options,
+)
 from sppm_pipeline.features.grading.graded import check_round, in_rounds
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.joined import JoinedSets, Transition, Union
 from sppm_pipeline.features.grading.joined_sizes import Laid, TwoSizes, beside, faces_without, refined
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.interiors import FEWEST
-from sppm_pipeline.method.families.tiler import HALO, Tiler, lattice_for, tiling_size
+from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 TIGHTER = 0.93
 """Factor of the spacing where the pores of a transition cell found no room: a choice."""

@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, TileSet
 from sppm_pipeline.features.grading.joined import JoinedSets
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
 
 MOST_PER_EDGE = 8
 """Small cells along the edge of a large one at the most: a choice."""

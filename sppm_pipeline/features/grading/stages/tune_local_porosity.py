@@ -9,7 +9,19 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import (
+    Context,
+    DesignError,
+    Headline,
+    Palette,
+    Part,
+    ScalarField,
+    Size,
+    Stage,
+    Tiling,
+    option,
+    options,
+)
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import (
     CurvedSamples,
@@ -27,15 +39,8 @@ from sppm_pipeline.features.grading.local_porosity import (
     error_summary,
 )
 from sppm_pipeline.features.grading.numerics.local_level import CellCodes, LevelFit, fit_level
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 LOWEST = 0.05
 """The lowest level C, a choice."""

@@ -10,17 +10,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline import ConfigError, Context, InputError, ScalarField, Tiling, options
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, tell_of_order
 from sppm_pipeline.features.grading.warped_field import looks_alike_from_all_sides
 from sppm_pipeline.features.grading.warper import Mapped, Warper
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.formats.hexahedra_file import Hexahedra, read_hexahedra
-from sppm_pipeline.stage import Context
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.grading.numerics.hexahedral_mesh import HexahedralMesh

@@ -9,13 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Length, ScalarField, option, options
 from sppm_pipeline.features.grading.curved_cells import SphereCells
 from sppm_pipeline.features.grading.warper import Mapped, Warper
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.stage import option
 
 
 @dataclass(frozen=True, kw_only=True)

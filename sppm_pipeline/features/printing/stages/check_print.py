@@ -11,16 +11,22 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Headline,
+    Length,
+    Palette,
+    Rejected,
+    Size,
+    SliceStack,
+    Stage,
+    option,
+    options,
+)
 from sppm_pipeline.features.printing.print_report import PrintReport, parse_rule, rounded, trapped
 from sppm_pipeline.features.printing.printer_writer import Job
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.nouns.printer import Resin, cards
-from sppm_pipeline.method.slicing.slice_stack import SliceStack
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, Rejected, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.printing.numerics.scan import Scan

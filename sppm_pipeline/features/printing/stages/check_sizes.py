@@ -8,16 +8,22 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Length,
+    Palette,
+    Rejected,
+    ResourceError,
+    ScalarField,
+    Size,
+    Stage,
+    Voxels,
+    option,
+    options,
+)
 from sppm_pipeline.features.printing.print_report import Measure, parse_rule
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 MEASURES = {
     "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than the machine makes it"),

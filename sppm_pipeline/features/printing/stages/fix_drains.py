@@ -9,15 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import ConfigError, Context, Headline, Length, Palette, Part, Size, Stage, option, options
 from sppm_pipeline.features.printing.print_report import rounded
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.part.part import Part, coarse_size
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 LOW = 3
 """Layers of the grid above the lowest void of a trap up to which a hole vents it while it is printed; higher up it

@@ -10,15 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ResourceError
+from sppm_pipeline import Context, Headline, Length, Palette, Part, ResourceError, Size, Stage, option, options
 from sppm_pipeline.features.printing.print_report import rounded
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.part.part import Part, coarse_size
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Headline, Stage, option
 
 LARGEST = 2**27
 """Most voxels of the grid, which is held in memory, some bytes each."""

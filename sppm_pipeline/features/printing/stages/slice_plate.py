@@ -5,13 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import ConfigError, Context, DesignError, Length, Palette, Size, SliceStack, Stage, option
 from sppm_pipeline.features.printing.plate_slices import Placed, PlateSlices, packed, tag
-from sppm_pipeline.method.slicing.slice_stack import SliceStack
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

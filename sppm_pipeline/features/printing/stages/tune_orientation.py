@@ -12,12 +12,8 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.part.part import Part, coarse_size
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, Stage, option
+from sppm_pipeline import ConfigError, Context, DesignError, Headline, Palette, Part, Size, Stage, option, options
+from sppm_pipeline.method.part.part import coarse_size
 
 COSTS = ("supports_mm2", "cups_mm2", "height_mm", "area_mm2")
 

@@ -9,11 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import SliceStack, options
 from sppm_pipeline.features.printing.printer_writer import Place, PrinterWriter
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.layer_writer import EncodedLayers
 from sppm_pipeline.method.nouns.printer import Printer
-from sppm_pipeline.method.slicing.slice_stack import SliceStack
 
 
 @dataclass(frozen=True, kw_only=True)

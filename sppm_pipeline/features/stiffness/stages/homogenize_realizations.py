@@ -8,14 +8,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Palette,
+    Recipe,
+    RecipeSize,
+    ScalarField,
+    Size,
+    Table,
+    option,
+    options,
+)
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import ElasticHomogenizer
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.nouns.table import Table
-from sppm_pipeline.stage import Context, Recipe, option
 
 NUMBERS = ("porosity", "E_x", "E_y", "E_z", "E_fit", "nu_xy", "nu_fit", "xi", "xi_relative", "universal_anisotropy")
 

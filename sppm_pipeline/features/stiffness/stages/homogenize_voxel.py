@@ -8,15 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.homogenizer import LOCKING, Homogenizer, VoxelCell, grids_below, per_phase, refined
-from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline import ConfigError, Context, Homogenizer, Palette, ScalarField, Size, Voxels, option, options
+from sppm_pipeline.method.families.homogenizer import LOCKING, VoxelCell, grids_below, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
-from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody

@@ -7,13 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from sppm_pipeline import Context, Headline, Palette, Recipe, RecipeSize, ScalarField, Size, Tuner, option, options
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import ElasticHomogenizer
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.tuner import Tuner
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,12 +10,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.method.families import options
+from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, option, options
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

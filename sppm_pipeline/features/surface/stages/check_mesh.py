@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Rejected, Stage, option
+from sppm_pipeline import ConfigError, Context, InputError, Length, Palette, Rejected, Size, Stage, SurfaceMesh, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.meshcheck.report import MeshReport

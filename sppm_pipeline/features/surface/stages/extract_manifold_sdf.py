@@ -8,8 +8,21 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Palette,
+    Part,
+    ScalarField,
+    Size,
+    Stage,
+    SurfaceMesh,
+    option,
+    options,
+)
 from sppm_pipeline.engine.process.budget import child_memory, require_memory
-from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.surface.field_surface import (
     MAX_VOXELS,
     MIN_VOXELS,
@@ -19,15 +32,8 @@ from sppm_pipeline.features.surface.field_surface import (
     voxels_along_edge,
 )
 from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine, manifold_extract
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.part.part import Part, node_grid
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Stage, option
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 

@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Palette,
+    Part,
+    ScalarField,
+    Size,
+    Stage,
+    SurfaceMesh,
+    option,
+    options,
+)
 from sppm_pipeline.features.surface.field_surface import (
     KEPT_SAMPLES,
     MAX_VOXELS,
@@ -20,15 +33,8 @@ from sppm_pipeline.features.surface.field_surface import (
 )
 from sppm_pipeline.features.surface.mesh_store import MeshStore
 from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceWindow
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.mesh_pieces import PieceTaker
-from sppm_pipeline.method.part.part import Part, node_grid
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.method.part.part import node_grid
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures

@@ -8,18 +8,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import Context, DesignError, Palette, Part, ScalarField, Size, Stage, Tiling, options
 from sppm_pipeline.features.surface.field_surface import KEPT_SAMPLES
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.fields.wrapped import RepeatedField
 from sppm_pipeline.method.nouns.mesh import RepeatedMesh
-from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
 
 _HINT = "lay one cell with `tile.periodic`, or mesh the whole with `extract.marching_cubes`"
 

@@ -7,16 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline import ConfigError, Context, Length, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.engine.process.budget import child_memory, require_memory
-from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.features.surface.stages.fill_boolean import BOOLEAN_BYTES
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 ZERO = Length(0.0)
 

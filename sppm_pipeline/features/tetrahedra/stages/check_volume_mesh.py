@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline import Context, Rejected, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.method.families import options
-from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 BINS = 18
 """Intervals of the reported histogram of dihedral angles, of ten degrees each."""

@@ -7,14 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline import ConfigError, Context, DesignError, InputError, Palette, Size, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.homogenizer import LOCKING
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 MATCHED_TOLERANCE = 1e-6
 

@@ -8,15 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import Context, DesignError, Palette, Part, ScalarField, Size, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.stage import Context, Stage, option
 
 Sampled = NDArray[np.float32]
 

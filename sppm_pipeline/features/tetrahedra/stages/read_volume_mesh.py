@@ -9,13 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline import ConfigError, Context, InputError, Stage, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.method.families import options
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.formats.hexahedra_file import IGNORED, LARGEST_FILE, READERS
 from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
-from sppm_pipeline.stage import Context, Stage
 
 FLAT = 1e-12
 """Volume of a cell, over the cube of its size, up to which it counts as none."""

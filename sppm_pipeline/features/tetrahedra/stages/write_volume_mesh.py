@@ -8,13 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import ConfigError, Context, DesignError, Palette, Size, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.file_writer import extension_of, require_format, write_pieces
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage, option
 
 FORMATS = (".vtu", ".vtk", ".inp", ".msh")
 

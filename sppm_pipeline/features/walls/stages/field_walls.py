@@ -8,17 +8,24 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import (
+    Cell,
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Palette,
+    Size,
+    Stage,
+    TunnelGraph,
+    option,
+    options,
+)
 from sppm_pipeline.features.walls.walls_field import WalledMicrostructure
-from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.microstructure import pieces_from_graph
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
-from sppm_pipeline.method.nouns.tunnels import TunnelGraph
-from sppm_pipeline.nouns.length import Cell, Length
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Geometry, Size
+from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.services.boolean_model import expected_walls
-from sppm_pipeline.stage import Context, Stage, option
 
 TUNNEL_SHARE, THICKNESS_SHARE, ROUNDING_SHARE = 0.1, 0.1, 0.07
 """Radius of tunnels, thickness of walls and rounding, in mean distances of pores, where the user gives none; sharp

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, Headline, ScalarField, Stage, StiffnessReport, Voxels, option, options
+from sppm_pipeline import Context, Headline, ScalarField, Stage, Voxels, option, options
+from sppm_pipeline.nouns import StiffnessReport
 
 
 @dataclass(frozen=True, kw_only=True)

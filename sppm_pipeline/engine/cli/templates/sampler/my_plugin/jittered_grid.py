@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import InteriorBox, Sampler, option
+from sppm_pipeline import Sampler, option
+from sppm_pipeline.nouns import InteriorBox
 
 
 @dataclass(frozen=True, kw_only=True)

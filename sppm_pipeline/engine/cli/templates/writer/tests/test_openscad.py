@@ -7,7 +7,8 @@ import re
 import numpy as np
 from my_plugin.openscad import WriteOpenScad
 
-from sppm_pipeline import SurfaceMesh, mesh_volume
+from sppm_pipeline import SurfaceMesh
+from sppm_pipeline.numerics import mesh_volume
 from sppm_pipeline.testing.contracts import WriterContract
 from sppm_pipeline.testing.plain_context import PlainContext
 
