@@ -70,7 +70,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.engine.api.run import Run as Run
     from sppm_pipeline.engine.process import notify as notify
     from sppm_pipeline.engine.process import run_native as run_native
-    from sppm_pipeline.engine.process.interruption import requested as stop_requested
+    from sppm_pipeline.engine.process.interruption import requested as _stop_requested
     from sppm_pipeline.errors import ConfigError as ConfigError
     from sppm_pipeline.errors import DesignError as DesignError
     from sppm_pipeline.errors import InputError as InputError
@@ -122,6 +122,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Stage as Stage
     from sppm_pipeline.stage import StageAlias as StageAlias
     from sppm_pipeline.stage import option as option
+
+    stop_requested = _stop_requested
 
 _PLACES = {
     "engine.api.bound_stage": "SppmWarning",

@@ -11,7 +11,7 @@ TYPE_CHECKING = False  # as type checkers understand it
 if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE as NOTEBOOK_SIZE
     from sppm_pipeline.services.pictures.camera import Camera as Camera
-    from sppm_pipeline.services.pictures.chart_style import COLORS as CHART_COLORS
+    from sppm_pipeline.services.pictures.chart_style import COLORS as _CHART_COLORS
     from sppm_pipeline.services.pictures.chart_style import check_chart as check_chart
     from sppm_pipeline.services.pictures.chart_style import figure_file as figure_file
     from sppm_pipeline.services.pictures.chart_style import plain_text as plain_text
@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.services.pictures.sheets import colors_of as colors_of
     from sppm_pipeline.services.pictures.sheets import contact_sheet as contact_sheet
     from sppm_pipeline.services.pictures.sheets import with_scale as with_scale
+
+    CHART_COLORS = _CHART_COLORS
 
 _PLACES = {
     "nouns.artifact": "NOTEBOOK_SIZE",

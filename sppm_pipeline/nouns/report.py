@@ -149,7 +149,7 @@ def number(place: str = "", **details: Any) -> dict[str, Any]:
     return {KEY: (Number(place, **details),)}
 
 
-TEXT = number(column=False)
+TEXT: dict[str, Number] = number(column=False)
 """Metadata of a field that is an entry of the summary and holds no numbers."""
 
 
