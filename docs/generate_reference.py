@@ -151,7 +151,8 @@ def data_page(cls: type, types: Mapping[str, type], registry: Registry) -> str:
     bases = [base for base in types.values() if base in cls.__mro__[1:]]
     methods, properties = [], []
     for name, member in vars(cls).items():
-        if name.startswith("_") or name in known or name in vars(Artifact) or not sections_of(member)[0]:
+        shared = name in vars(Artifact) and name != "picture"  # pictures differ from class to class
+        if name.startswith("_") or name in known or shared or not sections_of(member)[0]:
             continue
         if isinstance(member, (property, cached_property)):
             properties.append((f"`{name}`", purpose_of(member)))
