@@ -13,7 +13,7 @@ from typing import Any
 from sppm_pipeline.engine.config.configuration import StageEntry
 from sppm_pipeline.engine.config.document import Node
 from sppm_pipeline.engine.config.names import output_parts
-from sppm_pipeline.engine.config.problems import Problems
+from sppm_pipeline.engine.config.problems import raise_problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.wiring import Draft, wire
 from sppm_pipeline.engine.run.context import RunContext, StageLog
@@ -175,7 +175,6 @@ def recipe_of(*stages: Stage, name: str = "recipe") -> StepRecipe:
             recipes=None,
         )
         drafts.append(Draft(entry, type(stage), stage, owner))
-    problems = Problems()
-    steps, _ = wire(drafts, {}, problems)
-    problems.raise_any()
-    return StepRecipe(name, {name: steps})
+    wired, problems = wire(drafts, {})
+    raise_problems(problems)
+    return StepRecipe(name, {name: wired.steps})

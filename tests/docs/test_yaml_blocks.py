@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.engine.config.parameters import sweep_rows
-from sppm_pipeline.engine.plan.session import RunRequest, check_sweep, open_session
+from sppm_pipeline.engine.plan.session import RunRequest, checked, open_session
 from sppm_pipeline.errors import ConfigError, ConfigErrors, WiringError
 
 PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1]}\n"
@@ -23,10 +22,7 @@ def check(path: Path, plugins: tuple[Path, ...] = ()) -> list[ConfigError]:
     """What ``sppm check`` says against a file; a page that builds an installed plugin again does without them."""
     request = RunRequest(str(path), plugins=tuple(str(plugin) for plugin in plugins), distributions=not plugins)
     try:
-        session = open_session(request)
-        session.plan()
-        if session.configuration.sweep is not None:
-            check_sweep(session, sweep_rows(session.configuration.sweep, session.configuration.params))
+        checked(open_session(request), inputs=False)
     except ConfigErrors as errors:
         return list(errors.errors)
     except ConfigError as error:

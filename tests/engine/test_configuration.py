@@ -38,11 +38,11 @@ def test_errors_of_the_layout(work, text, words, place):
 
 def test_the_version_must_be_there(work):
     work.write(ONE, "bare.yaml")
-    from sppm_pipeline.engine.config.configuration import read_configuration
+    from sppm_pipeline.engine.plan.session import RunRequest
     from sppm_pipeline.errors import ConfigError
 
     with pytest.raises(ConfigError, match="`sppm` is missing"):
-        read_configuration(work.folder / "bare.yaml")
+        RunRequest(str(work.folder / "bare.yaml")).read()
 
 
 def test_name_and_seed_have_defaults(work):

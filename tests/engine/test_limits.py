@@ -194,14 +194,18 @@ def test_ranges_of_sweeps(work, to):
 
 
 def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
-    from sppm_pipeline.engine.config.parameters import sweep_rows
-    from sppm_pipeline.engine.plan.session import MAX_CHECKED, Session, check_sweep
+    from sppm_pipeline.engine.plan import session
 
     planned = []
-    original = Session.plan
-    monkeypatch.setattr(Session, "plan", lambda self, row: planned.append(row["a"].node.value) or original(self, row))
+    original = session.planned
+
+    def noting(opened, row=None):
+        planned.append(None if row is None else row["a"].node.value)
+        return original(opened, row)
+
+    monkeypatch.setattr(session, "planned", noting)
     text = "params: {a: 1}\nsweep: {a: {from: 1, to: 50000}}\npipeline: [{stage: read.number, value: '${a}'}]\n"
-    session = work.session(text)
-    check_sweep(session, sweep_rows(session.configuration.sweep, session.configuration.params))
-    assert len(planned) <= MAX_CHECKED + 1
+    session.checked(work.session(text))
+    assert planned.pop(0) is None  # the run without a row
+    assert len(planned) <= session.MAX_CHECKED + 1
     assert (planned[0], planned[-1]) == (1, 50000)

@@ -77,7 +77,7 @@ def test_a_run_in_memory_is_saved_without_running_again(work, monkeypatch):
 
     real = runner.run_step
     monkeypatch.setattr(runner, "run_step", lambda step, *rest: ran.append(step.id) or real(step, *rest))
-    record = run_plan(plan, work.folder / "saved", threads=1, earlier=run)
+    record = run_plan(plan, work.folder / "saved", threads=1, earlier=run.runner)
     assert ran == ["write.number"]
     monkeypatch.undo()
     direct = run_plan(plan, work.folder / "direct", threads=1)

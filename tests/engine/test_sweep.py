@@ -539,12 +539,12 @@ def test_an_executor_holds_a_bounded_number_of_tasks():
 def test_workers_in_another_folder_find_the_configuration(work, monkeypatch):
     request = replace(work.session(TEXT).request, file="config.yaml")
     monkeypatch.chdir(work.folder)
-    here = request.read()
+    here, _ = request.read()
     sent = request.absolute()
     (work.folder / "elsewhere").mkdir()
     monkeypatch.chdir(work.folder / "elsewhere")
     with pytest.raises(ConfigError, match="there is no file"):
         request.read()
-    there = sent.read()
+    there, _ = sent.read()
     assert there.folder == here.folder == work.folder
     assert there.pipeline == here.pipeline  # with the names by which messages call places

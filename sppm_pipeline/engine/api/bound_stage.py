@@ -188,7 +188,7 @@ class BoundStage:
             entry["recipe"] = RECIPE
             document["recipes"] = {RECIPE: [entry_of(stage) for stage in self.recipe]}
         where = f"sppm.{self.name}"
-        configuration = parse_configuration(compose(document, where), Path(where), Path.cwd())
+        configuration, _ = parse_configuration(compose(document, where), Path(where), Path.cwd())
         return make_plan(configuration, registry(), available=available)
 
     def _run(

@@ -235,9 +235,9 @@ class Pipeline:
         """
         plan, rows = checked(self._session, until)
         refuse_unfit(self._session, plan, rows, Path(output or "."), workers=jobs, until=until)
-        run = Run(self, plan, until=until, threads=threads or available_threads(), cache=_cache_folder(cache))
+        run = Run(self._session, plan, until=until, threads=threads or available_threads(), cache=_cache_folder(cache))
         if rows:
-            run._run_rows(self._session, rows, jobs)
+            run._run_rows(rows, jobs)
         else:
             run._run()
         if output is not None:
@@ -308,7 +308,9 @@ def load(path: str | Path, *, cache: bool | str | Path = True) -> Run:
         raise InputError(f"{str(path)!r} holds no run", hint=f"a run directory has a file {RECORD}") from error
     pipeline = Pipeline._of(RunRequest(str(file), allowed=allowed_plugins()))
     plan, rows = checked(pipeline._session)
-    run = Run(pipeline, plan, until=record.get("until"), threads=available_threads(), cache=_cache_folder(cache))
+    run = Run(
+        pipeline._session, plan, until=record.get("until"), threads=available_threads(), cache=_cache_folder(cache)
+    )
     run.record = record
     if rows:
         run.table = Table(json.loads((Path(path) / "sweep.json").read_bytes())["columns"])

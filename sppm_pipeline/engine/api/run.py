@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sppm_pipeline.engine.api.bound_stage import WarningMonitor
 from sppm_pipeline.engine.cache.housekeeping import open_store
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.engine.plan.session import (
-    Session,
-)
+from sppm_pipeline.engine.plan.session import Session
 from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
 from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
@@ -24,9 +22,6 @@ from sppm_pipeline.errors import ConfigError, SppmError
 from sppm_pipeline.nouns.artifact import escaped, shown
 from sppm_pipeline.nouns.table import Table
 from sppm_pipeline.nouns.viewers import viewer_of
-
-if TYPE_CHECKING:
-    from sppm_pipeline.engine.api.pipeline import Pipeline
 
 
 class Run:
@@ -40,10 +35,10 @@ class Run:
         Of a sweep: a row for each run.
     """
 
-    def __init__(self, pipeline: Pipeline, plan: Plan, *, until: str | None, threads: int, cache: Path | None) -> None:
-        self.pipeline = pipeline
+    def __init__(self, session: Session, plan: Plan, *, until: str | None, threads: int, cache: Path | None) -> None:
         self.record: dict[str, Any] = {}
         self.table: Table | None = None
+        self._session = session
         self._plan = plan
         self._until = until
         self._threads = threads
@@ -84,7 +79,7 @@ class Run:
         monitor = WarningMonitor()
         if self.table is not None:
             self.record = run_sweep(
-                self.pipeline._session,
+                self._session,
                 self._plan,
                 Path(path),
                 workers=jobs,
@@ -103,7 +98,7 @@ class Run:
                 monitor=monitor,
                 store=self._store(),
                 about=self._about(),
-                earlier=self._run(),
+                earlier=self._run().runner,
             )
         return self.record
 
@@ -120,7 +115,7 @@ class Run:
             self.record = self.record or self._memory.record
         return self._memory
 
-    def _run_rows(self, session: Session, rows: Sequence[Mapping[str, Any]], jobs: int) -> None:
+    def _run_rows(self, rows: Sequence[Mapping[str, Any]], jobs: int) -> None:
         """Run the rows of a sweep in memory and keep their numbers."""
 
         def one(number: int) -> dict[str, Any]:
@@ -134,7 +129,7 @@ class Run:
             }
             try:
                 memory = run_in_memory(
-                    session.plan(row),
+                    self._session.plan(row),
                     threads=max(1, self._threads // jobs),
                     until=self._until,
                     monitor=WarningMonitor(),

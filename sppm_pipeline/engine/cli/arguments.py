@@ -13,13 +13,6 @@ if TYPE_CHECKING:
     from sppm_pipeline.hookspecs import Command
 
 
-def allowed_from(args: Namespace) -> tuple[str, ...] | None:
-    """Names of the plugins that may be imported; None for all."""
-    from sppm_pipeline.engine.plan.plugins import allowed_plugins
-
-    return allowed_plugins(args.allow_plugins)
-
-
 def add_plugins(parser: ArgumentParser) -> None:
     """Which plugins are loaded."""
     parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="a Python file with stages")
@@ -59,6 +52,7 @@ _seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid int
 def request_from(args: Namespace) -> RunRequest:
     """What the arguments ask for."""
     from sppm_pipeline.engine.config.parameters import Overrides
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
 
     return RunRequest(
@@ -66,7 +60,7 @@ def request_from(args: Namespace) -> RunRequest:
         plugins=tuple(args.plugin),
         distributions=not args.no_plugins,
         overrides=Overrides(tuple(args.param), tuple(args.set), args.seed),
-        allowed=allowed_from(args),
+        allowed=allowed_plugins(args.allow_plugins),
     )
 
 
@@ -94,10 +88,12 @@ def cache_of(args: Namespace) -> Path | None:
 
 def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
     """Plugins without a configuration; if `strict`, a broken contract raises."""
-    from sppm_pipeline.engine.plan.plugins import load_plugins
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
 
     plugins = load_plugins(
-        files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)
+        files=[Path(p) for p in args.plugin],
+        distributions=not args.no_plugins,
+        allowed=allowed_plugins(args.allow_plugins),
     )
     if strict:
         plugins.raise_broken()

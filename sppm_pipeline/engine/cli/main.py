@@ -27,7 +27,9 @@ exit codes: 0 done; 1 unexpected; 2 configuration or command line wrong; 3 input
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code; never raises and, without ``--debug``, prints no traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    _write_any_character()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a character that a terminal can't show is no reason to fail
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = _dispatch(words)
         if sys.stdout is not None:
@@ -186,13 +188,6 @@ def _usage(*, plugins: bool = False) -> str:
         lines += [f"  {verb:9s} {command.help}  [{plugin}]" for verb, (plugin, command) in sorted(commands.items())]
     lines += ["", "`sppm VERB --help` shows the options of a verb, `sppm help --all` the verbs of plugins as well."]
     return "\n".join([*lines, EXIT_CODES]) + "\n"
-
-
-def _write_any_character() -> None:
-    """Where a terminal can't show a character of a message, show its code; never fail because of it."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def _reported(error: Exception, debug: bool) -> int:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import Any
 
-from sppm_pipeline.engine.cli.arguments import add_plugins, allowed_from, plugins_from
+from sppm_pipeline.engine.cli.arguments import add_plugins, plugins_from
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -35,11 +35,11 @@ def execute(args: Namespace) -> int:
 def _described(args: Namespace) -> Iterator[dict[str, Any]]:
     """What is known without running any code of a plugin."""
     from sppm_pipeline.built_in import BUILTINS
-    from sppm_pipeline.engine.plan.plugins import Plugin, installed_plugins
+    from sppm_pipeline.engine.plan.plugins import Plugin, allowed_plugins, installed_plugins
 
     plugins = [Plugin(module, builtin=True) for module in BUILTINS]
     if not args.no_plugins:
-        plugins += [plugin for plugin, _ in installed_plugins(allowed_from(args))]
+        plugins += [plugin for plugin, _ in installed_plugins(allowed_plugins(args.allow_plugins))]
     plugins += [Plugin(str(path)) for path in args.plugin]
     for plugin in plugins:
         yield _entry(plugin)

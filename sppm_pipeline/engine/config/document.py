@@ -68,6 +68,11 @@ class Node:
     where: Position
     param: str | None = None
 
+    @property
+    def has_param(self) -> bool:
+        """Whether a parameter's value stands anywhere in it."""
+        return any(node.param is not None for node in nodes_of(self))
+
 
 class Entry(NamedTuple):
     """A key's place and its value."""
@@ -189,13 +194,17 @@ def plain(node: Node, *, keep_params: bool = False) -> Any:
     return node.value
 
 
+def nodes_of(node: Node) -> Iterator[Node]:
+    """All values of a tree, the root included."""
+    yield node
+    values = node.value if isinstance(node.value, list) else ()
+    for inner in [entry.node for entry in node.value.values()] if isinstance(node.value, dict) else values:
+        yield from nodes_of(inner)
+
+
 def count_nodes(node: Node) -> int:
     """Values in a tree, the root and keys included."""
-    if isinstance(node.value, list):
-        return 1 + sum(count_nodes(item) for item in node.value)
-    if isinstance(node.value, dict):
-        return 1 + sum(1 + count_nodes(entry.node) for entry in node.value.values())
-    return 1
+    return sum(1 + (len(inner.value) if isinstance(inner.value, dict) else 0) for inner in nodes_of(node))
 
 
 def _hint(text: str, problem: str, number: int) -> str | None:
@@ -274,14 +283,10 @@ class _Composer:
     def _where(self, event: Any) -> Position:
         return self._fixed or Position(self._file, event.start_mark.line + 1, event.start_mark.column + 1)
 
-    def _add(self, nodes: int, where: Position) -> None:
-        self._count += nodes
-        if self._count > MAX_NODES:
-            raise ConfigError(f"the document has more than {MAX_NODES} values, aliases expanded", where=where)
-
     def _node(self, event: Any, depth: int) -> Node:
         where = self._where(event)
         kind = type(event).__name__
+        known = None
         if kind == "AliasEvent":
             known = self._anchors.get(event.anchor)
             if known is None:
@@ -289,14 +294,16 @@ class _Composer:
                     f"the alias *{event.anchor} comes before the end of its anchor &{event.anchor}, or has none",
                     where=where,
                 )
-            self._add(known[1], where)
-            return known[0]
-        if event.tag is not None:
+        elif event.tag is not None:
             raise ConfigError(f"tags such as {event.tag!r} are not allowed", where=where, hint="remove the tag")
-        if depth > MAX_DEPTH:
+        elif depth > MAX_DEPTH:
             raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=where)
         before = self._count
-        self._add(1, where)
+        self._count += 1 if known is None else known[1]
+        if self._count > MAX_NODES:
+            raise ConfigError(f"the document has more than {MAX_NODES} values, aliases expanded", where=where)
+        if known is not None:
+            return known[0]
         if kind == "ScalarEvent":
             if len(event.value) > MAX_SCALAR:
                 raise ConfigError(

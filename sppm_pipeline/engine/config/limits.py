@@ -96,7 +96,19 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
     ConfigError
         At the line and column of the first offence.
     """
-    _refuse_version(text, file, fixed)
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if words[:1] == ["%YAML"] and words[1:2] not in (
+            ["1.1"],
+            ["1.2"],
+        ):  # a directive, which comes before all content
+            raise ConfigError(
+                f"the file says that it is YAML {' '.join(words[1:2])[:20]}, which can't be read",
+                where=fixed or Position(file, number, 1),
+                hint="remove the line, or write %YAML 1.2",
+            )
+        if words and not line.startswith(("%", "#")):
+            break
     found = _LONG_LINE.search(text)
     if found is not None:
         place = fixed or _place(text, found.start(), file)
@@ -108,20 +120,6 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
     found = _DEEP.search(text)
     if found is not None:
         raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=fixed or _place(text, found.start(), file))
-
-
-def _refuse_version(text: str, file: str, fixed: Position | None) -> None:
-    """Refuse a ``%YAML`` directive, which comes before all content, of a version that the parser does not know."""
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.split()
-        if words[:1] == ["%YAML"] and words[1:2] not in (["1.1"], ["1.2"]):
-            raise ConfigError(
-                f"the file says that it is YAML {' '.join(words[1:2])[:20]}, which can't be read",
-                where=fixed or Position(file, number, 1),
-                hint="remove the line, or write %YAML 1.2",
-            )
-        if words and not line.startswith(("%", "#")):
-            break
 
 
 def parsable(text: str) -> str:

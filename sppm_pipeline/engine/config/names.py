@@ -90,25 +90,22 @@ def collide(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
     return one[:short] == other[:short]
 
 
-def refuse_clashes(claims: Iterable[tuple[str, str, Position]], problems: Problems) -> None:
-    """Report outputs of different stages that are one file, or of which one lies in the other.
+def clashes(claims: Iterable[tuple[str, str, Position]]) -> Problems:
+    """Outputs of different stages that are one file, or of which one lies in the other.
 
     Parameters
     ----------
     claims : iterable of (address of the stage, name of the output, place in the configuration)
-    problems : Problems
     """
+    problems: Problems = []
     seen: dict[tuple[str, ...], tuple[str, str]] = {}
     for stage, name, where in claims:
         key = folded(output_parts(name))
-        for other, (owner, other_name) in seen.items():
-            if collide(other, key) and owner != stage:
-                problems.report(
-                    f"the output {shown(name)} collides with {shown(other_name)} of stage {owner!r}",
-                    where,
-                    hint="give one of them another path",
-                    stage=stage,
-                )
-                break
-        else:
+        other = next((seen[key_] for key_ in seen if collide(key_, key) and seen[key_][0] != stage), None)
+        if other is None:
             seen[key] = (stage, name)
+        else:
+            message = f"the output {shown(name)} collides with {shown(other[1])} of stage {other[0]!r}"
+            hint = "give one of them another path"
+            problems.append(ConfigError(message, where=where, hint=hint, stage=stage))
+    return problems

@@ -97,28 +97,26 @@ def current_name(cls: type[Stage], name: str) -> str:
 
 
 def with_current_names(
-    cls: type[Stage], given: Mapping[str, Entry], problems: Problems, *, stage: str
-) -> tuple[dict[str, Entry], list[str]]:
+    cls: type[Stage], given: Mapping[str, Entry], *, stage: str
+) -> tuple[tuple[dict[str, Entry], list[str]], Problems]:
     """The written options under their current names, and the former names that were used.
 
-    An override replaces what the file says under either name; an option written twice in the same place is reported.
+    An override replaces what the file says under either name; an option written twice in the same place is refused.
     """
     result: dict[str, Entry] = {}
     former = []
+    problems: Problems = []
     for name, entry in given.items():
         current = current_name(cls, name)
         if current != name:
             former.append(name)
         other = result.get(current)
         if other is not None and isinstance(other.where, Override) == isinstance(entry.where, Override):
-            problems.report(
-                f"the option {current!r} is given twice, also by its former name; first at {other.where}",
-                entry.where,
-                stage=stage,
-            )
+            message = f"the option {current!r} is given twice, also by its former name; first at {other.where}"
+            problems.append(ConfigError(message, where=entry.where, stage=stage))
         elif other is None or isinstance(entry.where, Override):
             result[current] = entry
-    return result, former
+    return (result, former), problems
 
 
 def _members(kind: Any) -> tuple[Any, ...]:
@@ -143,9 +141,9 @@ def _check_kind(kind: Any, name: str) -> None:
 
 
 def parse_options(
-    cls: type[Stage], given: Mapping[str, Entry], where: Any, folder: Folder, problems: Problems, *, stage: str
-) -> dict[str, Any] | None:
-    """Values for the constructor of `cls`, or None if something is wrong; what it is goes to `problems`.
+    cls: type[Stage], given: Mapping[str, Entry], where: Any, folder: Folder, *, stage: str
+) -> tuple[dict[str, Any], Problems]:
+    """Values for the constructor of `cls`; complete if nothing is wrong.
 
     Parameters
     ----------
@@ -155,37 +153,30 @@ def parse_options(
         The place of the stage, shown for options that are missing.
     folder : callable
         From a value's position to the folder relative paths start from.
-    problems : Problems
     stage : str
         The stage's address, for messages.
     """
     declared = options_of(cls)
     values = {}
-    complete = True
+    problems: Problems = []
     for name, entry in given.items():
         if name not in declared:
-            complete = False
             hint = did_you_mean(name, declared) if declared else f"{cls.name} has no options"
             if _AFTER_COMMA.fullmatch(name):
                 hint = DECIMALS
-            problems.report(f"{cls.name} has no option {name!r}", entry.where, hint=hint, stage=stage)
+            message = f"{cls.name} has no option {name!r}"
+            problems.append(ConfigError(message, where=entry.where, hint=hint, stage=stage))
             continue
         try:
             values[name] = parse_typed(declared[name], plain(entry.node), folder(entry.node.where))
         except ValueError as error:
-            complete = False
             hint = hint_of(declared[name], entry.node.value)
-            problems.report(f"option {name!r}: {error}", entry.node.where, hint=hint, stage=stage)
+            problems.append(ConfigError(f"option {name!r}: {error}", where=entry.node.where, hint=hint, stage=stage))
     for option in declared.values():
         if option.required and option.name not in given:
-            complete = False
-            problems.report(
-                f"the option {option.name!r} is missing: {allowed_words(option)}",
-                where,
-                hint=option.spec.help,
-                stage=stage,
-            )
-    return values if complete else None
+            message = f"the option {option.name!r} is missing: {allowed_words(option)}"
+            problems.append(ConfigError(message, where=where, hint=option.spec.help, stage=stage))
+    return values, problems
 
 
 def parse_typed(option: Option, value: Any, folder: Path) -> Any:
@@ -215,89 +206,78 @@ def parse_typed(option: Option, value: Any, folder: Path) -> Any:
 
 
 def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:
+    spec = option.spec
     if typing.get_origin(kind) is tuple:
         return _parse_tuple(kind, value, option, folder)
-    refused = ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
     if kind is Length:
-        return _parse_length(value, option, refused)
-    if kind is bool:
-        if not isinstance(value, bool):
-            raise refused
+        return _parse_length(value, option)
+    if kind is bool and isinstance(value, bool):
         return value
-    if kind in (int, float):
-        return _parse_number(kind, value, option.spec, refused)
-    if kind is Path:
-        if not isinstance(value, (str, Path)) or not str(value) or "\0" in str(value):
-            raise refused
+    if kind in (int, float) and isinstance(value, (int, float)) and not isinstance(value, bool):
+        try:
+            number = kind(value)
+        except (OverflowError, ValueError):  # an integer of a nan or an infinity, a float of too large a number
+            raise _refused(option, value) from None
+        if kind is float and not math.isfinite(number):
+            raise _refused(option, value, ", which is not finite")
+        if (kind is float or number == value) and _in_bounds(number, spec):
+            return number
+    if kind is Path and isinstance(value, (str, Path)) and str(value) and "\0" not in str(value):
         return folder / Path(value).expanduser()
-    if not isinstance(value, str):
-        raise refused
-    if option.spec.choices and value not in option.spec.choices:
-        hint = did_you_mean(value, option.spec.choices)
-        near = f"; {hint}" if hint and hint.startswith("did") else ""
-        raise ValueError(f"{refused}{near}")
-    if option.spec.output:
+    if kind is not str or not isinstance(value, str):
+        raise _refused(option, value)
+    if spec.choices and value not in spec.choices:
+        hint = did_you_mean(value, spec.choices)
+        raise _refused(option, value, f"; {hint}" if hint and hint.startswith("did") else "")
+    if spec.output:
         try:
             output_parts(value)
         except ConfigError as error:
             raise ValueError(error.message) from None
-        if not fits_suffix(value, option.spec.suffixes):
-            raise refused
+        if not fits_suffix(value, spec.suffixes):
+            raise _refused(option, value)
     return value
 
 
-def _parse_length(value: Any, option: Option, refused: ValueError) -> Length:
-    """A length; bounds hold in the option's own unit, or in mm for a size that is given in a physical unit instead."""
-    try:
-        length = parse_length(value)
-    except OverflowError:
-        raise refused from None
-    except ValueError as error:
-        raise ValueError(f"{refused}; {error}") from None
-    unit = option.spec.unit
-    if length.unit is None or unit in UNITS_IN_MM:
-        scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[unit] if length.unit and unit in UNITS_IN_MM else 1.0
-        _check_bounds(length.value * scale, refused, option.spec)
-    elif option.spec.above is not None or option.spec.minimum is not None:
-        _check_bounds(length.value, refused, OptionSpec("", minimum=option.spec.minimum, above=option.spec.above))
-    if length.unit is not None and length.value and not SMALLEST_MM <= abs(length.mm()) <= LARGEST_MM:
-        raise ValueError(f"{refused}; a length with a unit lies between {SMALLEST_MM:g} mm and {LARGEST_MM:g} mm")
-    return length
+def _refused(option: Option, value: Any, more: str = "") -> ValueError:
+    return ValueError(f"expected {allowed_words(option)}, got {shown(value)}{more}")
 
 
-def _parse_number(kind: type, value: Any, spec: OptionSpec, refused: ValueError) -> Any:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise refused
-    if kind is int and not isinstance(value, int):
-        if not value.is_integer():  # also nan and the infinities
-            raise refused
-        value = int(value)
-    if kind is float:
-        try:
-            value = float(value)
-        except OverflowError:
-            raise refused from None
-        if not math.isfinite(value):
-            raise ValueError(f"{refused}, which is not finite")
-    _check_bounds(value, refused, spec)
-    return value
-
-
-def _check_bounds(number: float, refused: ValueError, spec: OptionSpec) -> None:
-    if (
+def _in_bounds(number: float, spec: OptionSpec) -> bool:
+    return not (
         (spec.minimum is not None and number < spec.minimum)
         or (spec.maximum is not None and number > spec.maximum)
         or (spec.above is not None and number <= spec.above)
         or (spec.below is not None and number >= spec.below)
-    ):
-        raise refused
+    )
+
+
+def _parse_length(value: Any, option: Option) -> Length:
+    """A length; bounds hold in the option's own unit, or in mm for a size that is given in a physical unit instead."""
+    try:
+        length = parse_length(value)
+    except OverflowError:
+        raise _refused(option, value) from None
+    except ValueError as error:
+        raise _refused(option, value, f"; {error}") from None
+    spec, scale = option.spec, 1.0
+    if length.unit is not None and spec.unit in UNITS_IN_MM:
+        scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[spec.unit]
+    elif length.unit is not None:
+        spec = OptionSpec("", minimum=spec.minimum, above=spec.above)
+    if not _in_bounds(length.value * scale, spec):
+        raise _refused(option, value)
+    if length.unit is not None and length.value and not SMALLEST_MM <= abs(length.mm()) <= LARGEST_MM:
+        more = f"; a length with a unit lies between {SMALLEST_MM:g} mm and {LARGEST_MM:g} mm"
+        raise _refused(option, value, more)
+    return length
 
 
 def _parse_tuple(kind: Any, value: Any, option: Option, folder: Path) -> tuple[Any, ...]:
     elements = typing.get_args(kind)
     variadic = len(elements) == 2 and elements[1] is Ellipsis
     if not isinstance(value, (list, tuple)) or (not variadic and len(value) != len(elements)):
-        raise ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
+        raise _refused(option, value)
     kinds = [elements[0]] * len(value) if variadic else elements
     result = []
     for number, (element, item) in enumerate(zip(kinds, value, strict=True), 1):

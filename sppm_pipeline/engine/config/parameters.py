@@ -7,13 +7,13 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from sppm_pipeline.engine.config.configuration import MAX_SEED, RESERVED, Configuration, StageEntry
-from sppm_pipeline.engine.config.document import Entry, Node, Override, count_nodes, parse_value, plain
+from sppm_pipeline.engine.config.document import Entry, Node, Override, count_nodes, nodes_of, parse_value, plain
 from sppm_pipeline.engine.config.limits import MAX_NODES
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, shown
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, raise_problems, shown
+from sppm_pipeline.errors import ConfigError, Position
 
 _WHOLE = re.compile(r"\$\{\s*(\w+)\s*\}")
 
@@ -38,89 +38,95 @@ class Overrides:
     seed: int | None = None
 
 
-def override_params(
-    params: Mapping[str, Entry], overrides: Iterable[str], problems: Problems, *, flag: str = "-p"
-) -> dict[str, Entry]:
+def override_params(params: Mapping[str, Entry], overrides: Iterable[str]) -> tuple[dict[str, Entry], Problems]:
     """`params` with the values of the ``-p`` arguments."""
     result = dict(params)
+    problems: Problems = []
     for argument in overrides:
-        where = Override(f"{flag} {_short(argument)}")
+        where = Override(f"-p {_short(argument)}")
         name, equals, text = argument.partition("=")
         if not equals:
-            problems.report("expected name=value", where)
+            problems.append(ConfigError("expected name=value", where=where))
         elif name not in params:
-            hint = did_you_mean(name, params) if params else "the configuration has no `params`"
-            problems.report(f"there is no parameter {shown(name)}", where, hint=hint)
+            problems.append(_unknown(f"there is no parameter {shown(name)}", params, name, where))
         else:
             try:
                 result[name] = Entry(where, parse_value(text, where))
             except ConfigError as error:
-                problems.add(error)
-    return result
+                problems.append(error)
+    return result, problems
 
 
-class Substitution:
-    """Puts parameters in and remembers which were used."""
+def _unknown(message: str, params: Mapping[str, Entry], name: str, where: Position) -> ConfigError:
+    hint = did_you_mean(name, params) if params else "the configuration has no `params`"
+    return ConfigError(message, where=where, hint=hint)
 
-    def __init__(self, params: Mapping[str, Entry], problems: Problems) -> None:
-        self._params = params
-        self._problems = problems
-        self.used: set[str] = set()
-        self._count = 0
-        for name, entry in params.items():
-            for node in _walk(entry.node):
-                if isinstance(node.value, str) and "${" in node.value:
-                    problems.report(f"the parameter {name!r} can't refer to another one", node.where)
 
-    def apply(self, node: Node) -> Node:
-        """`node` with every ``${name}`` replaced by the parameter's value."""
+class Substituted(NamedTuple):
+    """Lists of stages with parameters put in.
+
+    Attributes
+    ----------
+    groups : dict of name to Node
+    used : set of str
+        Parameters that were put in.
+    unread : set of Position
+        Places of values that could not be told; further errors there would only be consequences.
+    """
+
+    groups: dict[str, Node]
+    used: set[str]
+    unread: set[Position]
+
+
+def put_in(groups: Mapping[str, Node], params: Mapping[str, Entry]) -> tuple[Substituted, Problems]:
+    """Replace every ``${name}`` by the parameter's value.
+
+    Raises
+    ------
+    ConfigError
+        If that makes the document too large.
+    """
+    found = Substituted({}, set(), set())
+    problems = [
+        ConfigError(f"the parameter {name!r} can't refer to another one", where=node.where)
+        for name, entry in params.items()
+        for node in nodes_of(entry.node)
+        if isinstance(node.value, str) and "${" in node.value
+    ]
+    count = 0
+
+    def applied(node: Node) -> Node:
+        nonlocal count
         if isinstance(node.value, list):
-            return replace(node, value=[self.apply(item) for item in node.value])
+            return replace(node, value=[applied(item) for item in node.value])
         if isinstance(node.value, dict):
-            return replace(node, value={k: Entry(e.where, self.apply(e.node)) for k, e in node.value.items()})
+            return replace(node, value={k: Entry(e.where, applied(e.node)) for k, e in node.value.items()})
         if not isinstance(node.value, str) or "${" not in node.value:
             return node
         match = _WHOLE.fullmatch(node.value)
-        if match is None:
-            self._problems.report(
-                f"${{name}} stands for a whole value, got {shown(node.value)}",
-                node.where,
-                hint="there is no text around a parameter; put the whole string into `params`",
-            )
-            self._problems.explained(node.where)
+        if match is None or match[1] not in params:
+            if node.where not in found.unread:
+                found.unread.add(node.where)
+                message = f"${{name}} stands for a whole value, got {shown(node.value)}"
+                hint = "there is no text around a parameter; put the whole string into `params`"
+                problems.append(
+                    ConfigError(message, where=node.where, hint=hint)
+                    if match is None
+                    else _unknown(f"there is no parameter {match[1]!r}", params, match[1], node.where)
+                )
             return node
-        name = match[1]
-        if name not in self._params:
-            hint = did_you_mean(name, self._params) if self._params else "the configuration has no `params`"
-            self._problems.report(f"there is no parameter {name!r}", node.where, hint=hint)
-            self._problems.explained(node.where)
-            return node
-        self.used.add(name)
-        value = self._params[name].node
-        self._count += count_nodes(value)
-        if self._count > MAX_NODES:  # a long list put in many times would take more than the file's own values may
+        found.used.add(match[1])
+        value = params[match[1]].node
+        count += count_nodes(value)
+        if count > MAX_NODES:  # a long list put in many times would take more than the file's own values may
             raise ConfigError(
                 f"with parameters put in, the document has more than {MAX_NODES} values", where=node.where
             )
-        return Node(value.value, value.where, name)
+        return Node(value.value, value.where, match[1])
 
-    def unused(self) -> list[str]:
-        """A warning for each parameter that nothing refers to."""
-        return [
-            f"{entry.where}: the parameter {name!r} is not used"
-            for name, entry in self._params.items()
-            if name not in self.used
-        ]
-
-
-def _walk(node: Node) -> Iterable[Node]:
-    yield node
-    if isinstance(node.value, list):
-        for item in node.value:
-            yield from _walk(item)
-    elif isinstance(node.value, dict):
-        for entry in node.value.values():
-            yield from _walk(entry.node)
+    found.groups.update((name, applied(node)) for name, node in groups.items())
+    return found, problems
 
 
 def _short(argument: str) -> str:
@@ -129,38 +135,34 @@ def _short(argument: str) -> str:
     return line if len(argument) <= 80 else f"{line[:77]}..."
 
 
-def override_options(entries: Sequence[StageEntry], overrides: Iterable[str], problems: Problems) -> list[StageEntry]:
+def override_options(entries: Sequence[StageEntry], overrides: Iterable[str]) -> tuple[list[StageEntry], Problems]:
     """`entries`, of the pipeline and all recipes, with the values of the ``-s`` arguments."""
     result = list(entries)
+    problems: Problems = []
     for argument in overrides:
         where = Override(f"-s {_short(argument)}")
         key, equals, text = argument.partition("=")
         target, dot, option = key.rpartition(".")
-        if not equals or not dot or not target or not option:
-            problems.report("expected stage.option=value, for instance sample.dart_throwing.count=60", where)
-            continue
-        if option in RESERVED:
-            problems.report(f"`{option}` can't be set from the command line, only options can", where)
-            continue
         found = _matching(result, target)
-        if len(found) != 1:
-            addresses = [entry.address for entry in result]
-            if found:
-                problems.report(
-                    f"{shown(target)} may mean {listed((result[i].address for i in found), 'or')}",
-                    where,
-                    hint=f"write for instance -s {result[found[0]].address}.{option}={text[:40]}",
-                )
-            else:
-                problems.report(f"there is no stage {shown(target)}", where, hint=did_you_mean(target, addresses))
+        hint = None
+        if not equals or not dot or not target or not option:
+            message = "expected stage.option=value, for instance sample.dart_throwing.count=60"
+        elif option in RESERVED:
+            message = f"`{option}` can't be set from the command line, only options can"
+        elif len(found) > 1:
+            message = f"{shown(target)} may mean {listed((result[i].address for i in found), 'or')}"
+            hint = f"write for instance -s {result[found[0]].address}.{option}={text[:40]}"
+        elif not found:
+            message = f"there is no stage {shown(target)}"
+            hint = did_you_mean(target, [entry.address for entry in result])
+        else:
+            try:
+                result[found[0]] = result[found[0]].with_option(option, Entry(where, parse_value(text, where)))
+            except ConfigError as error:
+                problems.append(error)
             continue
-        try:
-            entry = Entry(where, parse_value(text, where))
-        except ConfigError as error:
-            problems.add(error)
-            continue
-        result[found[0]] = result[found[0]].with_option(option, entry)
-    return result
+        problems.append(ConfigError(message, where=where, hint=hint))
+    return result, problems
 
 
 def _matching(entries: Sequence[StageEntry], target: str) -> list[int]:
@@ -193,44 +195,44 @@ def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]
     ConfigError
         If a parameter is unknown, a list is empty, or there are too many rows.
     """
-    problems = Problems()
-    rows: list[dict[str, Entry]]
+    problems: Problems = []
+    rows: list[dict[str, Entry]] = []
     if isinstance(sweep.value, dict):
-        axes = {name: _axis(name, entry, problems) for name, entry in sweep.value.items()}
+        axes = {name: _axis(entry) for name, entry in sweep.value.items()}
+        for name, values in axes.items():
+            if not values:
+                message = f"the sweep of {name!r} must be a list of values, or integers such as {{from: 1, to: 50}}"
+                problems.append(ConfigError(message, where=sweep.value[name].node.where))
         count = math.prod(len(axis) for axis in axes.values())
         if count > MAX_ROWS:
-            problems.report(f"the sweep has {count} runs; at most {MAX_ROWS} are allowed", sweep.where)
-            problems.raise_any()
+            raise ConfigError(f"the sweep has {count} runs; at most {MAX_ROWS} are allowed", where=sweep.where)
         rows = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())] if axes else []
     else:
-        rows = []
         for node in sweep.value:
             if isinstance(node.value, dict) and node.value:
                 rows.append(dict(node.value))
             else:
-                problems.report("a row of a sweep is a map of parameters to values", node.where)
+                problems.append(ConfigError("a row of a sweep is a map of parameters to values", where=node.where))
     names = [*params, "seed"]
     entries = {(name, id(entry.node)): (name, entry) for row in rows for name, entry in row.items()}
     for name, entry in entries.values():
         value = entry.node.value
         if name not in names:
-            hint = did_you_mean(name, names)
-            problems.report(f"the sweep varies {name!r}, which is no parameter", entry.where, hint=hint)
+            message = f"the sweep varies {name!r}, which is no parameter"
+            problems.append(ConfigError(message, where=entry.where, hint=did_you_mean(name, names)))
         elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED):
-            problems.report(
-                f"a seed is an integer, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}",
-                entry.node.where,
-            )
-    if not rows and not problems.errors:
-        problems.report("the sweep has no runs", sweep.where)
-    problems.raise_any()
+            message = f"a seed is an integer, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}"
+            problems.append(ConfigError(message, where=entry.node.where))
+    if not rows and not problems:
+        problems.append(ConfigError("the sweep has no runs", where=sweep.where))
+    raise_problems(problems)
     return rows
 
 
-def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
-    """The values of one parameter of a grid."""
+def _axis(entry: Entry) -> list[Entry]:
+    """The values of one parameter of a grid; none if it is neither a list nor a range."""
     value, where = entry.node.value, entry.node.where
-    if isinstance(value, list) and value:
+    if isinstance(value, list):
         return [Entry(entry.where, node) for node in value]
     if isinstance(value, dict):
         ends = {key: inner.node.value for key, inner in value.items()}
@@ -239,7 +241,6 @@ def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
             step = ends.get("step", 1)
             if step > 0 and 0 <= ends["to"] - ends["from"] < MAX_ROWS * step:
                 return [Entry(entry.where, Node(number, where)) for number in range(ends["from"], ends["to"] + 1, step)]
-    problems.report(f"the sweep of {name!r} must be a list of values, or integers such as {{from: 1, to: 50}}", where)
     return []
 
 

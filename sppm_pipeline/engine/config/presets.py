@@ -8,7 +8,7 @@ from typing import Any
 
 from sppm_pipeline.engine.config.document import Entry, Node, as_node, plain
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
-from sppm_pipeline.errors import Position
+from sppm_pipeline.errors import ConfigError, Position
 from sppm_pipeline.hookspecs import Preset
 
 KEY = "preset"
@@ -17,23 +17,29 @@ KEY = "preset"
 _PARAM = re.compile(r"\$\{(\w+)\}")
 
 
-def expanded(node: Node, presets: Mapping[str, Preset], problems: Problems) -> Node:
-    """The list of stages that a recipe of the form ``{preset: NAME, param: value, ...}`` means; others as they are."""
+def expanded(node: Node, presets: Mapping[str, Preset]) -> tuple[Node | None, Problems]:
+    """The list of stages that a recipe of the form ``{preset: NAME, param: value, ...}`` means; others as they are.
+
+    None if there is no preset of this name.
+    """
     if not isinstance(node.value, dict) or KEY not in node.value:
-        return node
+        return node, []
     given = dict(node.value)
     named = given.pop(KEY).node
     if not isinstance(named.value, str) or named.value not in presets:
         hint = did_you_mean(str(named.value), presets)
-        problems.report(f"there is no preset {shown(plain(named))}", named.where, hint=hint)
-        problems.explained(node.where)
-        return Node([], node.where)
+        return None, [ConfigError(f"there is no preset {shown(plain(named))}", where=named.where, hint=hint)]
     preset = presets[named.value]
-    for name, entry in given.items():
-        if name not in preset.params:
-            hint = did_you_mean(name, preset.params)
-            problems.report(f"the preset {named.value!r} has no parameter {shown(name)}", entry.where, hint=hint)
-    return stages_of(preset, node.where, {name: entry.node for name, entry in given.items()})
+    problems: Problems = [
+        ConfigError(
+            f"the preset {named.value!r} has no parameter {shown(name)}",
+            where=entry.where,
+            hint=did_you_mean(name, preset.params),
+        )
+        for name, entry in given.items()
+        if name not in preset.params
+    ]
+    return stages_of(preset, node.where, {name: entry.node for name, entry in given.items()}), problems
 
 
 def stages_of(preset: Preset, where: Position, given: Mapping[str, Node] | None = None) -> Node:

@@ -1,4 +1,4 @@
-"""Collecting configuration errors, so that all of them are reported in one pass, and guessing what was meant."""
+"""What is wrong with a configuration, reported in one pass, and guesses at what was meant."""
 
 from __future__ import annotations
 
@@ -6,45 +6,25 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
-from sppm_pipeline.errors import ConfigError, ConfigErrors, Position
+from sppm_pipeline.errors import ConfigError, ConfigErrors
+
+Problems = list[ConfigError]
+"""What a phase has found wrong. Each returns it beside its value; `raise_problems` reports those of all together."""
 
 
-class Problems:
-    """Errors found so far in one configuration."""
+def raise_problems(problems: Iterable[ConfigError]) -> None:
+    """Raise what was found, each message once, in the order of the file; nothing if there was nothing.
 
-    def __init__(self) -> None:
-        self.errors: list[ConfigError] = []
-        self._explained: set[Position] = set()
-
-    def add(self, error: ConfigError) -> None:
-        """Keep `error`; several at once if it is a `ConfigErrors`."""
-        found = error.errors if isinstance(error, ConfigErrors) else [error]
-        self.errors.extend(one for one in found if one.where not in self._explained)
-
-    def explained(self, where: Position) -> None:
-        """Keep no further errors of the value at `where`: they would only be consequences."""
-        self._explained.add(where)
-
-    def report(
-        self, message: str, where: Position | None, *, hint: str | None = None, stage: str | None = None
-    ) -> None:
-        """Keep a `ConfigError` made of these parts."""
-        self.add(ConfigError(message, where=where, hint=hint, stage=stage))
-
-    def raise_any(self) -> None:
-        """Raise what was found, in the order of the file; nothing if there was nothing.
-
-        Raises
-        ------
-        ConfigError
-            The only error, or a `ConfigErrors` of all.
-        """
-        if not self.errors:
-            return
-        unique = {str(error): error for error in self.errors}
-        ordered = sorted(
-            unique.values(), key=lambda e: (e.where.file, e.where.line, e.where.column) if e.where else ("", 0, 0)
-        )
+    Raises
+    ------
+    ConfigError
+        The only error, or a `ConfigErrors` of all.
+    """
+    unique = {str(one): one for error in problems for one in getattr(error, "errors", (error,))}
+    ordered = sorted(
+        unique.values(), key=lambda e: (e.where.file, e.where.line, e.where.column) if e.where else ("", 0, 0)
+    )
+    if ordered:
         raise ordered[0] if len(ordered) == 1 else ConfigErrors(ordered)
 
 

@@ -104,9 +104,7 @@ def estimate_plan(plan: Plan, *, until: str | None = None, speed: Speed | None =
     speed : Speed, optional
         Of this machine, if it is known.
     """
-    steps = list(plan.steps)
-    if until is not None:
-        steps = steps[: [step.id for step in steps].index(until) + 1]
+    steps = plan.until(until)
     entries = len(steps) + sum(len(group) for group in plan.recipes.values())
     program = cost("sppm", {"stages": float(entries)})
     assert program is not None

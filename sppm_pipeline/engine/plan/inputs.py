@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sppm_pipeline.engine.config.options import Option, options_of
-from sppm_pipeline.engine.config.problems import did_you_mean, nearest, shown
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, nearest, shown
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.errors import ConfigError
@@ -18,7 +18,7 @@ OWN_COLUMNS = ("run", "status", "error")
 """Columns of a sweep's table besides the parameters and the numbers of stages."""
 
 
-def missing_inputs(plan: Plan, until: str | None = None) -> Iterator[ConfigError]:
+def missing_inputs(plan: Plan, until: str | None = None) -> Problems:
     """An error for each input file that is not there or would be read without end, of the stages that run.
 
     Parameters
@@ -27,21 +27,23 @@ def missing_inputs(plan: Plan, until: str | None = None) -> Iterator[ConfigError
     until : str, optional
         Id of the last stage of the pipeline to run.
     """
-    ids = [step.id for step in plan.steps]
-    steps = plan.steps[: ids.index(until) + 1] if until in ids else (*plan.steps, *plan.after)
-    used, todo = list(steps), list(steps)
-    handed: set[str] = set()
-    while todo:
-        new = set(todo.pop().recipes.values()) - handed
-        handed |= new
-        inside = [step for name in new for step in plan.recipes.get(name, ())]
-        used, todo = used + inside, todo + inside
+    last = until if until in [step.id for step in plan.steps] else None  # a row of a sweep may have other stages
+    used = list(plan.until(last)) + list(plan.after if last is None else ())
+    handed: dict[str, None] = {}
+    for step in used:  # which grows by the stages of the recipes that these are handed
+        new = [name for name in dict.fromkeys(step.recipes.values()) if name not in handed]
+        handed |= dict.fromkeys(new)
+        used += [inner for name in new for inner in plan.recipes.get(name, ())]
+    problems = []
     for step in used:
         for option, value in _values(step):
             if isinstance(value, Path) and not value.exists():
-                yield _error(step, option, f"there is no file or folder {str(value)!r}", _near(value))
+                problems.append(_error(step, option, f"there is no file or folder {str(value)!r}", _near(value)))
             elif isinstance(value, Path) and not (value.is_file() or value.is_dir()):
-                yield _error(step, option, f"{str(value)!r} is a pipe or a device", "give the path of a file")
+                problems.append(
+                    _error(step, option, f"{str(value)!r} is a pipe or a device", "give the path of a file")
+                )
+    return problems
 
 
 def _near(path: Path) -> str | None:
@@ -71,14 +73,15 @@ class Columns:
             before = self._numbers.get(step.id, found)
             self._numbers[step.id] = None if found is None or before is None else before | found
 
-    def impossible(self, plan: Plan) -> Iterator[ConfigError]:
+    def impossible(self, plan: Plan) -> Problems:
         """An error for each column of the sweep's table that stages of `after` name and no run can make."""
-        for step in plan.after:
-            if SWEEP_ID not in step.inputs.values():
-                continue
-            for option, value in _values(step):
-                if option.spec.column and value and not self._has(str(value)):
-                    yield _error(step, option, f"the table has no column {shown(value)}", self._hint(str(value)))
+        return [
+            _error(step, option, f"the table has no column {shown(value)}", self._hint(str(value)))
+            for step in plan.after
+            if SWEEP_ID in step.inputs.values()
+            for option, value in _values(step)
+            if option.spec.column and value and not self._has(str(value))
+        ]
 
     def _has(self, column: str) -> bool:
         ids = [id_ for id_ in self._numbers if column.startswith(f"{id_}.")]

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from sppm_pipeline.engine.config.configuration import FORMAT, Configuration, StageEntry, stage_entries
 from sppm_pipeline.engine.config.document import Entry, Node, as_node, plain
-from sppm_pipeline.engine.config.names import refuse_clashes
+from sppm_pipeline.engine.config.names import clashes
 from sppm_pipeline.engine.config.options import (
     current_name,
     options_of,
@@ -20,16 +20,14 @@ from sppm_pipeline.engine.config.options import (
     plain_option,
     with_current_names,
 )
-from sppm_pipeline.engine.config.parameters import Overrides, Substitution, override_options, override_params
+from sppm_pipeline.engine.config.parameters import Overrides, override_options, override_params, put_in
 from sppm_pipeline.engine.config.presets import expanded, stages_of
-from sppm_pipeline.engine.config.problems import Problems
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, raise_problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_names, recipe_order, wire
+from sppm_pipeline.engine.plan.wiring import Draft, Step, Wired, recipe_names, recipe_order, wire
 from sppm_pipeline.engine.process.containment import contained
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
-from sppm_pipeline.hookspecs import Preset
-from sppm_pipeline.stage import Stage
 
 SWEEP_ID = "sweep"
 """Id under which the stages of `after` find the table of the sweep."""
@@ -68,9 +66,47 @@ class Plan:
     plugins: tuple[Plugin, ...] = field(repr=False)
 
     def until(self, until: str | None) -> tuple[Step, ...]:
-        """The steps of the pipeline up to the one of this id; all if it is None."""
+        """The steps of the pipeline up to the one of this id; all if it is None.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of this id.
+        """
         ids = [step.id for step in self.steps]
+        if until is not None and until not in ids:
+            raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
         return self.steps if until is None else self.steps[: ids.index(until) + 1]
+
+
+class Drafts(NamedTuple):
+    """The stages of a configuration: parameters put in, stages looked up, options read; not wired yet.
+
+    Attributes
+    ----------
+    configuration : Configuration
+    registry : Registry
+    seed : int
+    params : mapping of name to Entry
+    groups : dict of name to list of Draft or None
+        Of each recipe, the pipeline and `after`; None stands for a stage that is unknown.
+    unread : set of Position
+        Places of values that could not be told; further errors there would only be consequences.
+    renamed, unused : tuple of str
+        Warnings of former names and of parameters that nothing refers to.
+    single : bool
+        Whether this is one row of a sweep.
+    """
+
+    configuration: Configuration
+    registry: Registry
+    seed: int
+    params: Mapping[str, Entry]
+    groups: dict[str, list[Draft | None]]
+    unread: set[Position]
+    renamed: tuple[str, ...]
+    unused: tuple[str, ...]
+    single: bool
 
 
 def make_plan(
@@ -80,17 +116,7 @@ def make_plan(
     row: Mapping[str, Entry] | None = None,
     available: Mapping[str, tuple[type, ...]] | None = None,
 ) -> Plan:
-    """Check options, then wiring, and report all errors in one go.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    registry : Registry
-    overrides : Overrides
-    row : mapping of parameter name (or ``seed``) to Entry, optional
-        A row of the sweep; the plan is then that of a single run.
-    available : mapping of id to artifact types, optional
-        What is there before the first stage.
+    """Read the stages, then wire them, and report all errors in one go; see `draft_plan` and `wire_plan`.
 
     Raises
     ------
@@ -99,67 +125,137 @@ def make_plan(
     PluginError
         If a stage breaks its contract.
     """
-    problems = Problems()
-    for known in configuration.errors:
-        problems.add(known)
-    params = override_params(configuration.params, overrides.params, problems)
+    drafts, unfit = draft_plan(configuration, registry, overrides, row)
+    plan, loose = wire_plan(drafts, available)
+    raise_problems([*unfit, *loose])
+    return plan
+
+
+def draft_plan(
+    configuration: Configuration, registry: Registry, overrides: Overrides, row: Mapping[str, Entry] | None = None
+) -> tuple[Drafts, Problems]:
+    """Put parameters and overrides in, look the stages up, and read their options.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    registry : Registry
+    overrides : Overrides
+    row : mapping of parameter name (or ``seed``) to Entry, optional
+        A row of the sweep; the plan is then that of a single run.
+
+    Raises
+    ------
+    ConfigError
+        If parameters make the document too large.
+    PluginError
+        If a stage breaks its contract.
+    """
+    params, problems = override_params(configuration.params, overrides.params)
     seed = configuration.seed if overrides.seed is None else overrides.seed
     if row is not None:
         params |= {name: entry for name, entry in row.items() if name != "seed"}
         seed = row["seed"].node.value if "seed" in row else seed
-    entries, unused = _entries(configuration, params, overrides, registry.presets, problems)
-    names = [name for name in entries if name not in (_PIPELINE, _AFTER)]
+    lists: dict[str, Node] = {name: entry.node for name, entry in configuration.recipes.items()}
+    lists[_PIPELINE] = configuration.pipeline
+    if configuration.after is not None:
+        lists[_AFTER] = configuration.after
+    put, unknown = put_in(lists, params)
+    further: Problems = []
+    groups: dict[str, list[StageEntry]] = {}
+    for name, node in put.groups.items():
+        stages, amiss = expanded(node, registry.presets)
+        groups[name], wrong = (
+            stage_entries(stages, None if name in (_PIPELINE, _AFTER) else name) if stages is not None else ([], [])
+        )
+        further += [*amiss, *wrong]
+    # presets that are named without being written down become recipes
+    for name, where in [use for group in groups.values() for entry in group for use in recipe_names(entry.recipes)]:
+        if name not in groups and name in registry.presets:
+            groups[name], wrong = stage_entries(stages_of(registry.presets[name], where), name)
+            further += wrong
+    flat, amiss = override_options([entry for group in groups.values() for entry in group], overrides.options)
+    further += amiss
+    changed = iter(flat)
+    drafts: dict[str, list[Draft | None]] = {}
     renamed: dict[tuple[str, str], str] = {}
-    drafts = {name: _drafts(group, configuration, registry, problems, renamed) for name, group in entries.items()}
-    recipes: dict[str, tuple[type, ...] | None] = dict.fromkeys(names)
-    wired: dict[str, list[Step]] = {}
+    for name, group in groups.items():
+        drafts[name] = []
+        for _ in group:
+            draft, wrong = _draft(next(changed), configuration, registry, renamed)
+            drafts[name].append(draft)
+            further += wrong
+    unused = tuple(
+        f"{entry.where}: the parameter {name!r} is not used" for name, entry in params.items() if name not in put.used
+    )
+    found = Drafts(
+        configuration, registry, seed, params, drafts, put.unread, tuple(renamed.values()), unused, row is not None
+    )
+    return found, [*problems, *unknown, *(one for one in further if one.where not in put.unread)]
+
+
+def wire_plan(drafts: Drafts, available: Mapping[str, tuple[type, ...]] | None = None) -> tuple[Plan, Problems]:
+    """Wire recipes, pipeline and `after`; the plan is complete if neither the drafts nor the wiring are wrong.
+
+    Parameters
+    ----------
+    drafts : Drafts
+    available : mapping of id to artifact types, optional
+        What is there before the first stage.
+    """
+    configuration, groups = drafts.configuration, drafts.groups
+    recipes: dict[str, Wired] = {name: Wired((), None) for name in groups if name not in (_PIPELINE, _AFTER)}
+    written = {name: [draft.entry for draft in group if draft is not None] for name, group in groups.items()}
     measured = {
         name
-        for group in drafts.values()
+        for group in groups.values()
         for draft in group
         if draft is not None and draft.cls.returns is not None
         for name, _ in recipe_names(draft.entry.recipes)
     }
-    for name in recipe_order({name: drafts[name] for name in recipes}, problems):
-        wired[name], recipes[name] = wire(drafts[name], recipes, problems, inside=wired)
-        if recipes[name] == () and entries[name] and name not in measured:
-            problems.report(f"the recipe {name!r} ends in a stage that makes nothing", entries[name][-1].where)
-    steps, _ = wire(drafts[_PIPELINE], recipes, problems, given=available, inside=wired)
-    after: list[Step] = []
+    order, problems = recipe_order({name: groups[name] for name in recipes})
+    for name in order:
+        recipes[name], loose = wire(groups[name], recipes)
+        problems += loose
+        if recipes[name].makes == () and written[name] and name not in measured:
+            message = f"the recipe {name!r} ends in a stage that makes nothing"
+            problems.append(ConfigError(message, where=written[name][-1].where))
+    pipeline, loose = wire(groups[_PIPELINE], recipes, available)
+    problems += loose
+    after = Wired((), None)
     if configuration.after is not None:
-        after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)}, inside=wired)
-    for group in ([*steps, *(step for name in names for step in wired.get(name, ()))], after):
-        refuse_clashes(_claims(group), problems)
-    problems.raise_any()
-    used = {name for group in (steps, after, *wired.values()) for step in group for name in step.recipes.values()}
-    if not any(_recipe_chosen(step.entry.recipes) for group in (steps, after, *wired.values()) for step in group):
-        unused += [
+        table: type = importlib.import_module("sppm_pipeline.nouns.table").Table  # late, as artifacts import numpy
+        after, loose = wire(groups[_AFTER], recipes, {SWEEP_ID: (table,)})
+        problems += loose
+    inner = {name: wired.steps for name, wired in recipes.items()}
+    problems += clashes(_claims([*pipeline.steps, *(step for steps in inner.values() for step in steps)]))
+    problems += clashes(_claims(after.steps))
+    warnings = [*drafts.renamed, *drafts.unused]
+    everything = [step for steps in (pipeline.steps, after.steps, *inner.values()) for step in steps]
+    # where a parameter says which recipe a stage is handed, the others are there to be chosen
+    if not any(step.entry.recipes is not None and step.entry.recipes.has_param for step in everything):
+        used = {name for step in everything for name in step.recipes.values()}
+        warnings += [
             f"{entry.where}: the recipe {name!r} is not used"
             for name, entry in configuration.recipes.items()
             if name not in used
         ]
-    return Plan(
+    plan = Plan(
         configuration=configuration,
         name=configuration.name,
-        seed=seed,
-        params={name: plain(entry.node) for name, entry in params.items()},
-        steps=tuple(steps),
-        recipes={name: tuple(wired[name]) for name in names},
-        after=tuple(after),
-        warnings=(*renamed.values(), *unused),
-        document=_document(
-            configuration, seed, params, steps, {name: wired[name] for name in names}, after, single=row is not None
-        ),
-        plugins=tuple(registry.plugins.plugins),
+        seed=drafts.seed,
+        params={name: plain(entry.node) for name, entry in drafts.params.items()},
+        steps=pipeline.steps,
+        recipes=inner,
+        after=after.steps,
+        warnings=tuple(warnings),
+        document=_document(drafts, pipeline.steps, inner, after.steps),
+        plugins=tuple(drafts.registry.plugins.plugins),
     )
+    return plan, [one for one in problems if one.where not in drafts.unread]
 
 
-def _recipe_chosen(node: Node | None) -> bool:
-    """Whether a parameter says which recipe a stage is handed; the others are then there to be chosen."""
-    return node is not None and _has_param(node)
-
-
-def _claims(steps: Sequence[Step]) -> Iterator[tuple[str, str, Position]]:
+def _claims(steps: Iterable[Step]) -> Iterator[tuple[str, str, Position]]:
     """The outputs that options name: stage, name, place."""
     for step in steps:
         for name, option in options_of(type(step.stage)).items():
@@ -173,124 +269,63 @@ _PIPELINE = ""
 _AFTER = "after:"  # no recipe can have these names
 
 
-def _table() -> type:
-    """The artifact of a sweep's table; imported late because artifacts import numpy."""
-    table: type = importlib.import_module("sppm_pipeline.nouns.table").Table
-    return table
-
-
-def _entries(
-    configuration: Configuration,
-    params: Mapping[str, Entry],
-    overrides: Overrides,
-    presets: Mapping[str, Preset],
-    problems: Problems,
-) -> tuple[dict[str, list[StageEntry]], list[str]]:
-    """Stage entries of the recipes, the pipeline and `after`, parameters and overrides put in; and warnings.
-
-    Presets that are named without being written down become recipes.
-    """
-    substitution = Substitution(params, problems)
-    groups: dict[str, Node] = {name: entry.node for name, entry in configuration.recipes.items()}
-    groups[_PIPELINE] = configuration.pipeline
-    if configuration.after is not None:
-        groups[_AFTER] = configuration.after
-    entries = {
-        key: stage_entries(
-            expanded(substitution.apply(node), presets, problems),
-            None if key in (_PIPELINE, _AFTER) else key,
-            problems,
-        )
-        for key, node in groups.items()
-    }
-    named = [entry.recipes for group in entries.values() for entry in group if entry.recipes is not None]
-    for name, where in (found for node in named for found in recipe_names(node)):
-        if name not in entries and name in presets:
-            entries[name] = stage_entries(stages_of(presets[name], where), name, problems)
-    flat = override_options([entry for group in entries.values() for entry in group], overrides.options, problems)
-    changed = iter(flat)
-    entries = {key: [next(changed) for _ in group] for key, group in entries.items()}
-    return entries, substitution.unused()
-
-
-def _drafts(
-    entries: Sequence[StageEntry],
-    configuration: Configuration,
-    registry: Registry,
-    problems: Problems,
-    renamed: dict[tuple[str, str], str],
-) -> list[Draft | None]:
-    """Look the stages up and read their options; former names that are used go to `renamed`, each once."""
-    drafts: list[Draft | None] = []
-    for entry in entries:
-        try:
-            cls = registry.get(entry.name, entry.stage.where)
-        except ConfigError as error:
-            problems.add(error)
-            drafts.append(None)
-            continue
-        except PluginError as error:
-            error.where = error.where or entry.where
-            raise
-        entry = _with_current_names(entry, cls, registry, problems, renamed)
-        values = parse_options(cls, entry.options, entry.where, configuration.base_of, problems, stage=entry.address)
-        stage = None
-        if values is not None:
-            try:
-                owner = registry.owner(entry.name)
-                with nullcontext() if owner.builtin else contained(_fault_of(owner, entry)):
-                    stage = cls(**values)
-                    stage.check_options()
-            except SppmError as error:
-                error.where, error.stage = error.where or entry.where, error.stage or entry.address
-                if not isinstance(error, ConfigError):
-                    raise
-                problems.add(error)
-                stage = None
-            except Exception as error:
-                raise PluginError(
-                    f"{registry.owner(entry.name)}: checking the options raised {type(error).__name__}: {error}",
-                    where=entry.where,
-                    stage=entry.address,
-                ) from error
-        drafts.append(Draft(entry, cls, stage, registry.owner(entry.name)))
-    return drafts
-
-
-def _with_current_names(
-    entry: StageEntry, cls: type[Stage], registry: Registry, problems: Problems, renamed: dict[tuple[str, str], str]
-) -> StageEntry:
-    """The entry with options under their current names, and those that a former name of the stage implied."""
-    options, former = with_current_names(cls, entry.options, problems, stage=entry.address)
+def _draft(
+    entry: StageEntry, configuration: Configuration, registry: Registry, renamed: dict[tuple[str, str], str]
+) -> tuple[Draft | None, Problems]:
+    """Look a stage up and read its options; former names that are used go to `renamed`, each once."""
+    try:
+        cls = registry.get(entry.name, entry.stage.where)
+        owner, alias = registry.owner(entry.name), registry.aliases.get(entry.name)
+    except ConfigError as error:
+        return None, [error]
+    except PluginError as error:
+        error.where = error.where or entry.where
+        raise
+    (options, former), problems = with_current_names(cls, entry.options, stage=entry.address)
     for name in former:
         renamed.setdefault(
             (cls.name, name),
             f"{entry.options[name].where}: the option {name!r} of {cls.name} is now "
             f"{current_name(cls, name)!r}; the old name works in this version",
         )
-    alias = registry.aliases.get(entry.name)
-    if alias is not None:
-        renamed.setdefault(
-            (entry.name, ""),
-            f"{entry.stage.where}: stage {entry.name!r} is now {cls.name!r}; the old name works in this version",
-        )
-        written = {name: plain(one.node) for name, one in options.items()}
-        try:
-            implied = alias.options(written) if callable(alias.options) else alias.options
-        except ConfigError as error:
-            error.where, error.stage = error.where or entry.where, error.stage or entry.address
-            problems.add(error)
-            implied = {}
-        for name, value in implied.items():
-            options.setdefault(name, Entry(entry.where, as_node(plain_option(value), entry.where)))
-    return dataclasses.replace(entry, options=options, stage=dataclasses.replace(entry.stage, value=cls.name))
 
+    def locate(error: SppmError) -> None:
+        error.where, error.stage = error.where or entry.where, error.stage or entry.address
 
-def _fault_of(owner: Plugin, entry: StageEntry) -> Callable[[str], SppmError]:
     def fault(message: str) -> SppmError:
         return PluginError(f"{owner}: checking the options {message}", where=entry.where, stage=entry.address)
 
-    return fault
+    if alias is not None:
+        message = f"{entry.stage.where}: stage {entry.name!r} is now {cls.name!r}; the old name works in this version"
+        renamed.setdefault((entry.name, ""), message)
+        given = {name: plain(one.node) for name, one in options.items()}
+        try:
+            implied = alias.options(given) if callable(alias.options) else alias.options
+        except ConfigError as error:
+            locate(error)
+            problems.append(error)
+            implied = {}
+        for name, value in implied.items():
+            options.setdefault(name, Entry(entry.where, as_node(plain_option(value), entry.where)))
+    entry = dataclasses.replace(entry, options=options, stage=dataclasses.replace(entry.stage, value=cls.name))
+    values, unfit = parse_options(cls, options, entry.where, configuration.base_of, stage=entry.address)
+    problems += unfit
+    stage = None
+    if not unfit:
+        try:
+            with nullcontext() if owner.builtin else contained(fault):
+                stage = cls(**values)
+                stage.check_options()
+        except ConfigError as error:
+            locate(error)
+            problems.append(error)
+            stage = None
+        except SppmError as error:
+            locate(error)
+            raise
+        except Exception as error:
+            raise fault(f"raised {type(error).__name__}: {error}") from error
+    return Draft(entry, cls, stage, owner), problems
 
 
 def step_options(step: Step) -> dict[str, Any]:
@@ -299,16 +334,10 @@ def step_options(step: Step) -> dict[str, Any]:
 
 
 def _document(
-    configuration: Configuration,
-    seed: int,
-    params: Mapping[str, Entry],
-    steps: Sequence[Step],
-    recipes: Mapping[str, Sequence[Step]],
-    after: Sequence[Step],
-    *,
-    single: bool,
+    drafts: Drafts, steps: Sequence[Step], recipes: Mapping[str, Sequence[Step]], after: Sequence[Step]
 ) -> dict[str, Any]:
     """The configuration as a run record keeps it."""
+    configuration = drafts.configuration
     paths = {
         entry.node.param
         for group in (steps, after, *recipes.values())
@@ -324,17 +353,17 @@ def _document(
     document: dict[str, Any] = {
         "sppm": FORMAT,
         "name": configuration.name,
-        "seed": seed,
+        "seed": drafts.seed,
         "folder": str(configuration.folder),
     }
-    if params:
-        document["params"] = {name: param_value(name, entry.node) for name, entry in params.items()}
+    if drafts.params:
+        document["params"] = {name: param_value(name, entry.node) for name, entry in drafts.params.items()}
     if configuration.plugins:
         document["plugins"] = [str(path.absolute()) for path in configuration.plugins]
     if recipes:
         document["recipes"] = {name: [_entry(step) for step in steps] for name, steps in recipes.items()}
     document["pipeline"] = [_entry(step) for step in steps]
-    if configuration.sweep is not None and not single:
+    if configuration.sweep is not None and not drafts.single:
         document["sweep"] = _sweep(configuration.sweep, param_value)
         if after:
             document["after"] = [_entry(step) for step in after]
@@ -342,7 +371,7 @@ def _document(
 
 
 def _sweep(sweep: Node, param_value: Any) -> Any:
-    """The sweep with absolute paths."""
+    """The sweep with absolute paths; what is no row is left as it is, for `sweep_rows` to refuse."""
     if isinstance(sweep.value, dict):
         return {
             name: [param_value(name, node) for node in entry.node.value]
@@ -350,7 +379,12 @@ def _sweep(sweep: Node, param_value: Any) -> Any:
             else plain(entry.node)
             for name, entry in sweep.value.items()
         }
-    return [{name: param_value(name, entry.node) for name, entry in row.value.items()} for row in sweep.value]
+    return [
+        {name: param_value(name, entry.node) for name, entry in row.value.items()}
+        if isinstance(row.value, dict)
+        else plain(row)
+        for row in sweep.value
+    ]
 
 
 def _entry(step: Step) -> dict[str, Any]:
@@ -364,17 +398,9 @@ def _entry(step: Step) -> dict[str, Any]:
     for name, option in options_of(type(step.stage)).items():
         value = getattr(step.stage, name)
         written = entry.options.get(name)
-        if written is not None and _has_param(written.node):
+        if written is not None and written.node.has_param:
             result[name] = plain(written.node, keep_params=True)
         elif written is not None or (entry.stage.param is None and not (value is None and option.default is None)):
             # a stage chosen by a parameter keeps only what was written, as the defaults of another would not fit
             result[name] = plain_option(value)
     return result
-
-
-def _has_param(node: Node) -> bool:
-    if node.param is not None:
-        return True
-    if isinstance(node.value, list):
-        return any(_has_param(item) for item in node.value)
-    return isinstance(node.value, dict) and any(_has_param(entry.node) for entry in node.value.values())

@@ -9,12 +9,11 @@ import sys
 import threading
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeGuard
 
 from sppm_pipeline.errors import PluginError
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.plan.plugins import Plugins
     from sppm_pipeline.stage import Stage
 
 _IMPORTING = threading.Lock()
@@ -63,14 +62,9 @@ def _line_in(error: Exception, path: Path) -> str:
     return line
 
 
-def single_files(plugins: Plugins) -> tuple[str, ...]:
-    """The plugins that are single files, for `import_file` of another process."""
-    return tuple(str(module.__file__) for module in _single_modules(plugins))
-
-
-def _single_modules(plugins: Plugins) -> list[ModuleType]:
-    modules = [plugin.module for plugin in plugins.plugins if not plugin.builtin and plugin.distribution is None]
-    return [module for module in modules if isinstance(module, ModuleType) and module.__name__.startswith(_SINGLE)]
+def is_single_file(module: object) -> TypeGuard[ModuleType]:
+    """Whether this is a module that `import_file` has imported."""
+    return isinstance(module, ModuleType) and module.__name__.startswith(_SINGLE)
 
 
 def stage_classes(module: ModuleType) -> list[type[Stage]]:
@@ -88,22 +82,21 @@ def stage_classes(module: ModuleType) -> list[type[Stage]]:
     ]
 
 
-def incomplete_stages(plugins: Plugins) -> list[str]:
-    """What the classes of single files still lack to be stages; what stages there are built upon lacks nothing."""
+def incomplete_stages(module: ModuleType) -> list[str]:
+    """What the classes of a file still lack to be stages; what stages there are built upon lacks nothing."""
     from sppm_pipeline.stage import Stage
 
     found = []
-    for module in _single_modules(plugins):  # as they were loaded: the files may have been edited since
-        for cls in vars(module).values():
-            if not (inspect.isclass(cls) and issubclass(cls, Stage) and cls.__module__ == module.__name__):
-                continue
-            if any(issubclass(complete, cls) for complete in stage_classes(module)):
-                continue
-            lacking = [f"the method `{name}`" for name in sorted(getattr(cls, "__abstractmethods__", ()))]
-            if not isinstance(getattr(cls, "name", None), str):
-                lacking.insert(0, '`name: ClassVar[str] = "family.word"`')
-            if lacking:
-                found.append(f"{cls.__name__} in {module.__file__} is no stage yet: it lacks {' and '.join(lacking)}")
+    for cls in vars(module).values():
+        if not (inspect.isclass(cls) and issubclass(cls, Stage) and cls.__module__ == module.__name__):
+            continue
+        if any(issubclass(complete, cls) for complete in stage_classes(module)):
+            continue
+        lacking = [f"the method `{name}`" for name in sorted(getattr(cls, "__abstractmethods__", ()))]
+        if not isinstance(getattr(cls, "name", None), str):
+            lacking.insert(0, '`name: ClassVar[str] = "family.word"`')
+        if lacking:
+            found.append(f"{cls.__name__} in {module.__file__} is no stage yet: it lacks {' and '.join(lacking)}")
     return found
 
 

@@ -17,7 +17,13 @@ from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
 from sppm_pipeline.engine.plan import installed
 from sppm_pipeline.engine.plan.installed import normal
-from sppm_pipeline.engine.plan.plugin_files import first_line, import_file, missing_module, stage_classes
+from sppm_pipeline.engine.plan.plugin_files import (
+    first_line,
+    import_file,
+    is_single_file,
+    missing_module,
+    stage_classes,
+)
 from sppm_pipeline.engine.process.containment import guarded
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.nouns.viewers import Viewer, add_viewers
@@ -98,6 +104,11 @@ class Plugins:
     def failed(self) -> list[Plugin]:
         """Plugins that could not be loaded."""
         return [plugin for plugin in self.plugins if plugin.error is not None]
+
+    def single_files(self) -> list[ModuleType]:
+        """The modules of plugins that are single files, as they were loaded; the files may have been edited since."""
+        modules = [plugin.module for plugin in self.plugins if not plugin.builtin and plugin.distribution is None]
+        return [module for module in modules if is_single_file(module)]
 
     def raise_broken(self) -> None:
         """Raise the first error that must not be passed over: a broken contract, or a file the user named.
@@ -253,10 +264,6 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
                 plugin.stages[cls.name] = cls
 
 
-def _is_class_or_place(value: Any) -> bool:
-    return callable(value) or isinstance(value, str)
-
-
 def _is_alias(value: Any) -> bool:
     from sppm_pipeline.stage import StageAlias
 
@@ -264,7 +271,7 @@ def _is_alias(value: Any) -> bool:
 
 
 _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
-    ("sppm_stages", "stages", _is_class_or_place, "classes or 'module:Class'"),
+    ("sppm_stages", "stages", lambda value: callable(value) or isinstance(value, str), "classes or 'module:Class'"),
     ("sppm_stage_aliases", "aliases", _is_alias, "stages or a StageAlias"),
     ("sppm_executors", "executors", callable, "functions"),
     ("sppm_commands", "commands", lambda value: isinstance(value, hookspecs.Command), "a Command"),

@@ -80,7 +80,7 @@ class Registry:
         if name not in self._owners:
             hint, near = self._hint(name)
             # a name that resembles none is that of a stage which a plugin supplies, if one that failed may do so
-            broken = self.plugins.failed() or incomplete_stages(self.plugins)
+            broken = self.plugins.failed() or self._incomplete()
             kind = PluginError if broken and not near else ConfigError
             raise kind(f"there is no stage {shown(name)}", where=where, hint=hint)
         if name not in self._classes:
@@ -100,12 +100,15 @@ class Registry:
         else:
             hints = ["`sppm stages` lists all stages"]
         hints += [f"{plugin} could not be loaded and may supply it" for plugin in self.plugins.failed()]
-        hints += (incomplete := incomplete_stages(self.plugins))
+        hints += (incomplete := self._incomplete())
         if self.plugins.disabled:
             hints.append("installed plugins are switched off by --no-plugins")
         elif not (near or incomplete):
             hints.append("a plugin that supplies it may not be installed; `sppm plugins` lists those that are")
         return "; ".join(hints), bool(near)
+
+    def _incomplete(self) -> list[str]:
+        return [lack for module in self.plugins.single_files() for lack in incomplete_stages(module)]
 
     def _writing(self, names: list[str], ending: str) -> list[str]:
         """The built-in stage that writes files of this ending, if it is one: for `write.nrrd` it is `write.voxels`."""

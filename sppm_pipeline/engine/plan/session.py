@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.built_in import BUILTINS
-from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration, read_configuration
-from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, yaml_text
+from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration
+from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, read_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, raise_problems
 from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
 from sppm_pipeline.engine.plan.inputs import Columns, missing_inputs
-from sppm_pipeline.engine.plan.planning import Plan, make_plan
+from sppm_pipeline.engine.plan.planning import Plan, draft_plan, wire_plan
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.rates import Speed
 from sppm_pipeline.engine.plan.registry import Registry
@@ -90,35 +90,56 @@ class RunRequest:
             return replace(self, plugins=plugins, text=text, folder=os.path.abspath(folder))
         return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."))
 
-    def read(self) -> Configuration:
+    def read(self) -> tuple[Configuration, Problems]:
         """The configuration that is asked for, without the sweep axes that overrides fix.
 
         Raises
         ------
         ConfigError
         """
-        path = Path(self.file)
+        path, folder = Path(self.file), Path(self.folder or ".")
         if self.document is not None:
-            configuration = parse_configuration(compose(self.document, self.file), path, self.folder or ".")
+            root = compose(self.document, self.file)
         elif self.text is not None:
-            configuration = parse_configuration(parse_yaml(self.text, self.file), path, self.folder or ".")
+            root = parse_yaml(self.text, self.file)
         else:
-            configuration = read_configuration(path)
-        return without_fixed_axes(configuration, self.overrides)
+            root, folder = read_yaml(path), path.parent
+        configuration, problems = parse_configuration(root, path, folder)
+        return without_fixed_axes(configuration, self.overrides), problems
 
 
 @dataclass(frozen=True)
 class Session:
-    """A configuration that was read, with the plugins it needs."""
+    """A configuration that was read, with the plugins it needs.
+
+    Attributes
+    ----------
+    request : RunRequest
+    configuration : Configuration
+    plugins : Plugins
+    registry : Registry
+    unread : list of ConfigError
+        What is wrong with the top level of the configuration and does not keep the rest from being looked at.
+    """
 
     request: RunRequest
     configuration: Configuration
     plugins: Plugins
     registry: Registry
+    unread: Problems = field(default_factory=list)
 
-    def plan(self, row: Mapping[str, Entry] | None = None) -> Plan:
-        """Plan the run, or one row of its sweep; see `make_plan`."""
-        return make_plan(self.configuration, self.registry, self.request.overrides, row)
+    def plan(self, row: Row | None = None) -> Plan:
+        """Plan the run, or one row of its sweep; see `planned`.
+
+        Raises
+        ------
+        ConfigError
+            With all that is wrong.
+        """
+        plan, problems = planned(self, row)
+        raise_problems(problems)
+        assert plan is not None
+        return plan
 
     @cached_property
     def rows(self) -> Sequence[Row]:
@@ -140,14 +161,14 @@ def open_session(request: RunRequest) -> Session:
     ------
     ConfigError, PluginError
     """
-    configuration = request.read()
+    configuration, unread = request.read()
     files = [Path(path) for path in request.plugins]
     if request.distributions:
         files += [path for path in configuration.plugins if request.allowed is None or path.name in request.allowed]
     names = None if request.allowed is None else [name for name in request.allowed if not name.endswith(".py")]
     plugins = load_plugins(request.builtins, files=files, distributions=request.distributions, allowed=names)
     plugins.raise_broken()
-    return Session(request, configuration, plugins, Registry(plugins))
+    return Session(request, configuration, plugins, Registry(plugins), unread)
 
 
 Row = Mapping[str, Entry]
@@ -159,6 +180,23 @@ MAXIMUM_ROWS = 50
 """Rows of a sweep that are estimated; of more, evenly spread ones stand for all."""
 
 
+def planned(session: Session, row: Row | None = None) -> tuple[Plan | None, Problems]:
+    """The plan of the run, or of one row of its sweep; None if anything is wrong.
+
+    Raises
+    ------
+    PluginError
+        If a stage breaks its contract.
+    """
+    try:
+        drafts, unfit = draft_plan(session.configuration, session.registry, session.request.overrides, row)
+    except ConfigError as error:
+        return None, [error]
+    plan, loose = wire_plan(drafts)
+    problems = [*session.unread, *unfit, *loose]
+    return None if problems else plan, problems
+
+
 def checked(session: Session, until: str | None = None, *, inputs: bool = True) -> tuple[Plan, Sequence[Row]]:
     """The plan and the rows of its sweep, none if there is no sweep; unless `inputs` is False, input files are there.
 
@@ -167,27 +205,21 @@ def checked(session: Session, until: str | None = None, *, inputs: bool = True) 
     ConfigError
         With the errors of all of them.
     """
-    problems = Problems()
-    plan: Plan | None = None
+    plan, problems = planned(session)
     rows: Sequence[Row] = []
-    try:
-        plan = session.plan()
-        check_until(plan, until)
-        for missing in missing_inputs(plan, until) if inputs else ():
-            problems.add(missing)
-    except ConfigError as error:
-        problems.add(error)
-    if session.configuration.sweep is not None:
+    if plan is not None:
         try:
-            rows = session.rows
-            if plan is not None:
-                columns = Columns(tuple(rows[0]))
-                check_sweep(session, rows, until, inputs=inputs, planned=columns.add)
-                for impossible in columns.impossible(plan):
-                    problems.add(impossible)
+            plan.until(until)
+            problems += missing_inputs(plan, until) if inputs else []
         except ConfigError as error:
-            problems.add(error)
-    problems.raise_any()
+            problems.append(error)
+    try:
+        rows = session.rows
+    except ConfigError as error:
+        problems.append(error)
+    if rows and plan is not None:
+        problems += sweep_problems(session, plan, rows, until, inputs=inputs)
+    raise_problems(problems)
     assert plan is not None
     return plan, rows
 
@@ -227,39 +259,26 @@ def refuse_unfit(
             refuse_what_cannot_fit(largest, folder, runs=round(total / largest.disk) or 1)
 
 
-def check_until(plan: Plan, until: str | None) -> None:
-    """Raise `ConfigError` if the pipeline has no stage `until`."""
-    ids = [step.id for step in plan.steps]
-    if until is not None and until not in ids:
-        raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
-
-
-def check_sweep(
-    session: Session,
-    rows: Sequence[Row],
-    until: str | None = None,
-    *,
-    inputs: bool = True,
-    planned: Callable[[Plan], object] = lambda plan: None,
-) -> None:
-    """Plan with every value that occurs, so that a bad one is found before any work; each plan is shown to `planned`.
+def sweep_problems(
+    session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None, *, inputs: bool = True
+) -> Problems:
+    """What is wrong with any value that occurs in a sweep, and with the columns that stages of `after` name.
 
     In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
     than `MAX_CHECKED` a part is tried.
     """
     sweep = session.configuration.sweep
-    first = rows[0]
-    problems = Problems()
+    columns = Columns(tuple(rows[0]))
+    problems: Problems = []
     if sweep is not None and isinstance(sweep.value, dict):
+        first = rows[0]
         rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
     if len(rows) > MAX_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
         rows = [*rows[: -1 : -(-len(rows) // MAX_CHECKED)], rows[-1]]
     for row in rows:
-        try:
-            plan = session.plan(row)
-            planned(plan)
-            for missing in missing_inputs(plan, until) if inputs else ():
-                problems.add(missing)
-        except ConfigError as error:
-            problems.add(error)
-    problems.raise_any()
+        one, wrong = planned(session, row)
+        problems += wrong
+        if one is not None:
+            columns.add(one)
+            problems += missing_inputs(one, until) if inputs else []
+    return problems or columns.impossible(plan)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from sppm_pipeline.engine.config.configuration import StageEntry
 from sppm_pipeline.engine.config.document import Node, plain
@@ -84,6 +85,25 @@ class Step:
         ]
 
 
+class Wired(NamedTuple):
+    """The stages of a pipeline or recipe, wired.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        Complete if nothing was wrong.
+    makes : tuple of type or None
+        What the last stage makes; None if that is not known.
+    """
+
+    steps: tuple[Step, ...]
+    makes: tuple[type, ...] | None
+
+
+Made = Mapping[str, tuple[type, ...] | None]
+"""Artifacts by the id of the stage that makes them, in order; None where that is not known."""
+
+
 def last_uses(steps: Sequence[Step]) -> list[set[str]]:
     """For each step the ids whose results nobody needs after it."""
     last: dict[str, int] = {}
@@ -95,10 +115,11 @@ def last_uses(steps: Sequence[Step]) -> list[set[str]]:
     return [{id_ for id_, at in last.items() if at == number} for number in range(len(steps))]
 
 
-def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problems) -> list[str]:
-    """Names of the recipes, each after those that it uses; a cycle is reported and cut."""
+def recipe_order(drafts: Mapping[str, Sequence[Draft | None]]) -> tuple[list[str], Problems]:
+    """Names of the recipes, each after those that it uses; a cycle is refused and cut."""
     order: list[str] = []
     path: list[str] = []
+    problems: Problems = []
 
     def visit(name: str) -> None:
         path.append(name)
@@ -106,9 +127,8 @@ def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problem
             for used, where in recipe_names(draft.entry.recipes if draft else None):
                 if used in path:
                     circle = " -> ".join([*path[path.index(used) :], used])
-                    problems.add(
-                        WiringError(f"recipes can't repeat each other in a circle: {circle}", where=where, stage=name)
-                    )
+                    message = f"recipes can't repeat each other in a circle: {circle}"
+                    problems.append(WiringError(message, where=where, stage=name))
                 elif used in drafts and used not in order:
                     visit(used)
         path.pop()
@@ -117,7 +137,7 @@ def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problem
     for name in drafts:
         if name not in order:
             visit(name)
-    return order
+    return order, problems
 
 
 def recipe_names(node: Node | None) -> list[tuple[str, Position]]:
@@ -130,50 +150,44 @@ def recipe_names(node: Node | None) -> list[tuple[str, Position]]:
 
 def wire(
     drafts: Sequence[Draft | None],
-    recipes: Mapping[str, tuple[type, ...] | None],
-    problems: Problems,
-    *,
-    given: Mapping[str, tuple[type, ...]] | None = None,
-    inside: Mapping[str, Sequence[Step]] | None = None,
-) -> tuple[list[Step], tuple[type, ...] | None]:
+    recipes: Mapping[str, Wired],
+    given: Made | None = None,
+) -> tuple[Wired, Problems]:
     """Find the source of each port.
 
     Parameters
     ----------
     drafts : sequence of Draft or None
         In order; None stands for a stage that is unknown, after which nothing is said about missing inputs.
-    recipes : mapping of recipe name to the artifacts it makes
-        None if that is not known.
-    problems : Problems
+    recipes : mapping of recipe name to Wired
     given : mapping of id to artifacts, optional
         What is there before the first stage.
-    inside : mapping of recipe name to sequence of Step, optional
-        The stages of the recipes.
-
-    Returns
-    -------
-    steps : list of Step
-        Complete if no problem was reported.
-    makes : tuple of type or None
-        What the last stage makes; None if that is not known.
     """
     made: dict[str, tuple[type, ...] | None] = dict(given or {})
     later = [draft.entry.id for draft in drafts if draft is not None]
     steps: list[Step] = []
     makes: tuple[type, ...] | None = ()
+    problems: Problems = []
     for number, draft in enumerate(drafts):
         if draft is None:
             made[f"?{number}"] = makes = None
             continue
         signature = signature_of(draft.cls)
         later.remove(draft.entry.id)
-        chosen = _chosen_sources(draft, signature, made, later, problems)
-        inputs = _sources(draft, signature, chosen, made, problems)
-        handed = _handed_recipes(draft, signature, recipes, problems)
-        if signature.as_recipe and draft.cls.returns is not None:
-            makes = _last_of(draft, next(iter(handed.values()), None), inside or {}, problems)
+        chosen, amiss = _chosen_sources(draft, signature, made, later)
+        inputs, unmade = _sources(draft, signature, chosen, made)
+        handed, unknown = _handed_recipes(draft, signature, recipes)
+        problems += [*amiss, *unmade, *unknown]
+        repeated = recipes[next(iter(handed.values()))] if handed else Wired((), None)
+        kind = draft.cls.returns
+        if signature.as_recipe and kind is not None:
+            found = [step.makes for step in repeated.steps if makes_kind(step, kind)]
+            if repeated.steps and not found:
+                message = f"no stage of the recipe {next(iter(handed.values()))!r} makes a {kind.__name__}"
+                problems.append(WiringError(message, where=draft.entry.where, stage=draft.entry.address))
+            makes = found[-1] if found else None
         elif signature.as_recipe:
-            makes = next((recipes.get(name) for name in handed.values()), None)
+            makes = repeated.makes
         elif signature.as_port is not None and (source := inputs[signature.as_port]) is not None:
             makes = made[source]
         else:
@@ -181,7 +195,7 @@ def wire(
         made[draft.entry.id] = makes
         if draft.stage is not None:
             steps.append(Step(draft.entry, draft.stage, draft.owner, signature, inputs, handed, makes or ()))
-    return steps, makes
+    return Wired(tuple(steps), makes), problems
 
 
 def makes_kind(step: Step, kind: type) -> bool:
@@ -189,31 +203,13 @@ def makes_kind(step: Step, kind: type) -> bool:
     return bool(step.makes) and all(issubclass(member, kind) for member in step.makes)
 
 
-def _last_of(
-    draft: Draft, recipe: str | None, inside: Mapping[str, Sequence[Step]], problems: Problems
-) -> tuple[type, ...] | None:
-    """What the last stage of a recipe that makes an artifact of the type `Stage.returns` makes."""
-    kind = draft.cls.returns
-    if recipe is None or not inside.get(recipe) or kind is None:
-        return None
-    found = [step.makes for step in inside[recipe] if makes_kind(step, kind)]
-    if not found:
-        message = f"no stage of the recipe {recipe!r} makes a {kind.__name__}"
-        problems.add(WiringError(message, where=draft.entry.where, stage=draft.entry.address))
-    return found[-1] if found else None
-
-
 def _chosen_sources(
-    draft: Draft,
-    signature: Signature,
-    made: Mapping[str, tuple[type, ...] | None],
-    later: Sequence[str],
-    problems: Problems,
-) -> dict[str, str]:
-    """What `from` says: port or place -> id; ids that do not exist or do not fit are reported and left out."""
+    draft: Draft, signature: Signature, made: Made, later: Sequence[str]
+) -> tuple[dict[str, str], Problems]:
+    """What `from` says: port or place -> id; ids that do not exist or do not fit are refused and left out."""
     node, entry = draft.entry.sources, draft.entry
     if node is None:
-        return {}
+        return {}, []
     ports = {port.name: port for port in signature.ports if not port.is_recipe}
     requested: list[tuple[str | None, Position, Node]]
     if isinstance(node.value, dict):
@@ -222,95 +218,82 @@ def _chosen_sources(
         requested = [(None, node.where, one) for one in _each(node)]
     chosen: dict[str, str] = {}
     count: dict[str, int] = {}
+    problems: Problems = []
     for port, where, source in requested:
-
-        def refuse(message: str, hint: str | None, place: Position) -> None:
-            problems.add(WiringError(message, where=place, hint=hint, stage=entry.address))
-
+        place, hint = source.where, None
+        artifacts = made.get(source.value) if isinstance(source.value, str) else None
+        candidates = list(ports.values()) if port is None else [ports[port]] if port in ports else []
+        fitting = [p.name for p in candidates if artifacts is None or fits(artifacts, p)]
         if port is not None and port not in ports:
-            refuse(f"{draft.cls.name} has no port {port!r}", did_you_mean(port, ports), where)
+            message, hint, place = f"{draft.cls.name} has no port {port!r}", did_you_mean(port, ports), where
         elif not isinstance(source.value, str):
-            refuse(
-                f"`from` takes the id of a stage, a list of ids or a map of ports to them, got {shown(plain(source))}",
-                None,
-                source.where,
+            message = (
+                f"`from` takes the id of a stage, a list of ids or a map of ports to them, got {shown(plain(source))}"
             )
+        elif source.value not in made and (source.value in later or source.value == entry.id):
+            message, hint = f"{source.value!r} does not come before this stage", "move it up"
         elif source.value not in made:
-            if source.value in later or source.value == entry.id:
-                refuse(f"{source.value!r} does not come before this stage", "move it up", source.where)
-            else:
-                known = [id_ for id_ in made if not id_.startswith("?")]
-                hint = did_you_mean(source.value, known) or "ids are the names of the stages unless given"
-                refuse(f"there is no earlier stage {shown(source.value)}", hint, source.where)
+            message = f"there is no earlier stage {shown(source.value)}"
+            hint = did_you_mean(source.value, [id_ for id_ in made if not id_.startswith("?")])
+            hint = hint or "ids are the names of the stages unless given"
+        elif len(fitting) > 1:
+            message = f"{source.value!r} fits the ports {listed(fitting)}"
+            hint = f"say which: from: {{{fitting[0]}: {source.value}}}"
+        elif not fitting:
+            wanted = "; ".join(f"{p.name} takes {port_words(p)}" for p in candidates) or "it has no ports"
+            message = f"{source.value!r} makes {artifact_words(artifacts or ())}, but {wanted}"
+        elif ports[fitting[0]].many:
+            count[fitting[0]] = number = count.get(fitting[0], -1) + 1
+            chosen[ports[fitting[0]].place(number)] = source.value
+            continue
+        elif fitting[0] in chosen:
+            message = f"the port {fitting[0]!r} takes one artifact, and two are given"
         else:
-            artifacts = made[source.value]
-            candidates = [ports[port]] if port is not None else list(ports.values())
-            fitting = [p.name for p in candidates if artifacts is None or fits(artifacts, p)]
-            if len(fitting) == 1 and ports[fitting[0]].many:
-                count[fitting[0]] = number = count.get(fitting[0], -1) + 1
-                chosen[ports[fitting[0]].place(number)] = source.value
-            elif len(fitting) == 1 and fitting[0] in chosen:
-                refuse(f"the port {fitting[0]!r} takes one artifact, and two are given", None, source.where)
-            elif len(fitting) == 1:
-                chosen[fitting[0]] = source.value
-            elif fitting:
-                refuse(
-                    f"{source.value!r} fits the ports {listed(fitting)}",
-                    f"say which: from: {{{fitting[0]}: {source.value}}}",
-                    source.where,
-                )
-            else:
-                wanted = "; ".join(f"{p.name} takes {port_words(p)}" for p in candidates) or "it has no ports"
-                refuse(f"{source.value!r} makes {artifact_words(artifacts or ())}, but {wanted}", None, source.where)
-    return chosen
+            chosen[fitting[0]] = source.value
+            continue
+        problems.append(WiringError(message, where=place, hint=hint, stage=entry.address))
+    return chosen, problems
 
 
 def _sources(
-    draft: Draft,
-    signature: Signature,
-    chosen: Mapping[str, str],
-    made: Mapping[str, tuple[type, ...] | None],
-    problems: Problems,
-) -> dict[str, str | None]:
+    draft: Draft, signature: Signature, chosen: Mapping[str, str], made: Made
+) -> tuple[dict[str, str | None], Problems]:
     """The source of each port: as chosen, else the nearest earlier stage that makes the artifact."""
     inputs: dict[str, str | None] = {}
-    entry = draft.entry
+    entry, node = draft.entry, draft.entry.sources
     unknown = any(artifacts is None for artifacts in made.values())
+    problems: Problems = []
     for port in signature.ports:
         if port.is_recipe:
             continue
+        # if `from` spoke of this port, what is wrong has been said
+        said = node is not None and (not isinstance(node.value, dict) or port.name in node.value)
+        fitting = [id_ for id_, artifacts in made.items() if artifacts is not None and fits(artifacts, port)]
+        found: dict[str, str | None]
         if port.many:
-            given = {place: id_ for place, id_ in chosen.items() if place.partition("[")[0] == port.name}
-            fitting = [id_ for id_, artifacts in made.items() if artifacts is not None and fits(artifacts, port)]
-            inputs |= given or {port.place(number): id_ for number, id_ in enumerate(fitting)}
-            if not given and not fitting and not unknown and not _is_requested(draft, port):
-                problems.add(_nothing_for(draft, port, made))
-            continue
-        source: str | None = chosen.get(port.name) or _nearest(port, made)
-        taken_by = next((name for name, other in inputs.items() if other == source and source is not None), None)
-        if taken_by is not None and port.name not in chosen:
-            # one artifact for two ports is never what was meant silently
-            if port.optional:
-                source = None
-            elif not _is_requested(draft, port):
-                problems.add(
-                    WiringError(
-                        f"the ports {taken_by!r} and {port.name!r} would both take the result of {source!r}",
-                        where=entry.where,
-                        stage=entry.address,
-                        hint=f"say which stage serves which port: from: {{{taken_by}: ..., {port.name}: ...}}",
-                    )
-                )
-        if source is None and not port.optional and not unknown and not _is_requested(draft, port):
-            problems.add(_nothing_for(draft, port, made))
-        inputs[port.name] = source
-    return inputs
-
-
-def _is_requested(draft: Draft, port: Port) -> bool:
-    """Whether `from` spoke of this port, so that what is wrong has been said."""
-    node = draft.entry.sources
-    return node is not None and (not isinstance(node.value, dict) or port.name in node.value)
+            found = {place: id_ for place, id_ in chosen.items() if place.partition("[")[0] == port.name}
+            found = found or {port.place(number): id_ for number, id_ in enumerate(fitting)}
+            lacking = not found
+        else:
+            source = chosen.get(port.name) or (fitting[-1] if fitting else None)
+            taken_by = next((name for name, other in inputs.items() if other == source and source is not None), None)
+            if taken_by is not None and port.name not in chosen:
+                # one artifact for two ports is never what was meant silently
+                if port.optional:
+                    source = None
+                elif not said:
+                    message = f"the ports {taken_by!r} and {port.name!r} would both take the result of {source!r}"
+                    hint = f"say which stage serves which port: from: {{{taken_by}: ..., {port.name}: ...}}"
+                    problems.append(WiringError(message, where=entry.where, hint=hint, stage=entry.address))
+            found = {port.name: source}
+            lacking = source is None and not port.optional
+        if lacking and not unknown and not said:
+            there = ", ".join(f"{artifact_words(types)} by {id_}" for id_, types in made.items() if types)
+            message = f"the port {port.name!r} needs {port_words(port)}, which no earlier stage makes"
+            hint = f"made before: {there}" if there else "nothing is made before this stage"
+            problems.append(WiringError(message, where=entry.where, hint=hint, stage=entry.address))
+        inputs |= found
+    return inputs, problems
 
 
 def _each(node: Node) -> list[Node]:
@@ -318,67 +301,41 @@ def _each(node: Node) -> list[Node]:
     return list(node.value) if isinstance(node.value, list) and node.value else [node]
 
 
-def _nothing_for(draft: Draft, port: Port, made: Mapping[str, tuple[type, ...] | None]) -> WiringError:
-    return WiringError(
-        f"the port {port.name!r} needs {port_words(port)}, which no earlier stage makes",
-        where=draft.entry.where,
-        stage=draft.entry.address,
-        hint=_made_before(made),
-    )
-
-
-def _nearest(port: Port, made: Mapping[str, tuple[type, ...] | None]) -> str | None:
-    for id_ in reversed(list(made)):
-        artifacts = made[id_]
-        if artifacts is not None and fits(artifacts, port):
-            return id_
-    return None
-
-
-def _made_before(made: Mapping[str, tuple[type, ...] | None]) -> str:
-    there = [f"{artifact_words(artifacts)} by {id_}" for id_, artifacts in made.items() if artifacts]
-    return f"made before: {', '.join(there)}" if there else "nothing is made before this stage"
-
-
 def _handed_recipes(
-    draft: Draft, signature: Signature, recipes: Mapping[str, tuple[type, ...] | None], problems: Problems
-) -> dict[str, str]:
+    draft: Draft, signature: Signature, recipes: Mapping[str, Wired]
+) -> tuple[dict[str, str], Problems]:
     """What `recipe` says: port -> name of a recipe."""
-    ports = [port for port in signature.ports if port.is_recipe]
+    ports = {port.name: port for port in signature.ports if port.is_recipe}
+    needed = [name for name, port in ports.items() if not port.optional]
     entry, node = draft.entry, draft.entry.recipes
+    handed: dict[str, str] = {}
+    problems: Problems = []
 
     def refuse(message: str, hint: str | None, where: Position) -> None:
-        problems.add(WiringError(message, where=where, hint=hint, stage=entry.address))
+        problems.append(WiringError(message, where=where, hint=hint, stage=entry.address))
 
     if node is None:
-        if missing := [port.name for port in ports if not port.optional]:
+        if needed:
             hint = f"give `recipe: NAME`; recipes: {', '.join(recipes)}" if recipes else "add `recipes:` to the file"
-            refuse(f"{draft.cls.name} repeats a recipe, but none is given for {listed(missing)}", hint, entry.where)
-        return {}
-    if not ports:
+            refuse(f"{draft.cls.name} repeats a recipe, but none is given for {listed(needed)}", hint, entry.where)
+    elif not ports:
         refuse(f"{draft.cls.name} takes no recipe", None, node.where)
-        return {}
-    if isinstance(node.value, dict):
-        requested = {name: e.node for name, e in node.value.items()}
-    elif len(ports) == 1:
-        requested = {ports[0].name: node}
+    elif len(ports) > 1 and not isinstance(node.value, dict):
+        refuse(f"{draft.cls.name} takes {len(ports)} recipes", f"give a map: {', '.join(ports)}", node.where)
     else:
-        names = [port.name for port in ports]
-        refuse(f"{draft.cls.name} takes {len(ports)} recipes", f"give a map: {', '.join(names)}", node.where)
-        return {}
-    handed: dict[str, str] = {}
-    for name, one in requested.items():
-        if name not in [port.name for port in ports]:
-            refuse(f"{draft.cls.name} has no port {name!r} for a recipe", None, one.where)
-        elif not isinstance(one.value, str):
-            refuse(f"`recipe` takes the name of a recipe, got {shown(plain(one))}", None, one.where)
-        elif one.value not in recipes:
-            near = did_you_mean(one.value, recipes) if recipes else "the file has no `recipes`"
-            near = f"{near}; `sppm stages` lists presets"
-            refuse(f"there is no recipe {shown(one.value)}", near, one.where)
-        else:
-            handed[name] = one.value
-    for port in ports:
-        if port.name not in requested and not port.optional:
-            refuse(f"no recipe is given for the port {port.name!r}", None, node.where)
-    return handed
+        written = isinstance(node.value, dict)
+        requested = {name: e.node for name, e in node.value.items()} if written else dict.fromkeys(ports, node)
+        for name, one in requested.items():
+            if name not in ports:
+                refuse(f"{draft.cls.name} has no port {name!r} for a recipe", None, one.where)
+            elif not isinstance(one.value, str):
+                refuse(f"`recipe` takes the name of a recipe, got {shown(plain(one))}", None, one.where)
+            elif one.value not in recipes:
+                near = did_you_mean(one.value, recipes) if recipes else "the file has no `recipes`"
+                refuse(f"there is no recipe {shown(one.value)}", f"{near}; `sppm stages` lists presets", one.where)
+            else:
+                handed[name] = one.value
+        for name in needed:
+            if name not in requested:
+                refuse(f"no recipe is given for the port {name!r}", None, node.where)
+    return handed, problems

@@ -14,7 +14,6 @@ from typing import Any
 
 from sppm_pipeline.engine.files import DISK, clear
 from sppm_pipeline.engine.plan.estimate import PlanEstimate
-from sppm_pipeline.engine.plan.plugin_files import single_files
 from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.events import Monitor
@@ -160,7 +159,7 @@ class Crew:
         kept = self._keep(common) if common is not None else None
         self._open()
         assert self._driver is not None
-        files = single_files(self._plugins)
+        files = tuple(str(module.__file__) for module in self._plugins.single_files())
         waiting: deque[_Job] = deque()
         coming = iter(items)
         try:

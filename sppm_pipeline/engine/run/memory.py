@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.engine.plan.session import check_until
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import Scratch
 from sppm_pipeline.engine.run.record import record_of
@@ -80,7 +79,7 @@ def run_in_memory(
     SppmError
         What stopped the run.
     """
-    check_until(plan, until)
+    steps = plan.until(until)
     monitor = monitor or Monitor()
     started, began = datetime.datetime.now(datetime.UTC), time.perf_counter()
     warnings = list(plan.warnings)
@@ -91,7 +90,6 @@ def run_in_memory(
         warnings.append(message)
         monitor.warning(None, message)
 
-    steps = plan.until(until)
     with tempfile.TemporaryDirectory(prefix="sppm-") as scratch:
         runner = StepRunner(
             steps,

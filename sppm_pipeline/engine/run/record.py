@@ -20,7 +20,7 @@ from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.process.interruption import register, requested, unregister
 from sppm_pipeline.engine.process.resident import highest
-from sppm_pipeline.engine.run.events import Monitor, Observers
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import ResourceError, SppmError
@@ -146,10 +146,6 @@ class Recorder:
         for message in self.warnings:
             self._monitor.warning(None, message)
         return self
-
-    def observers(self) -> Observers:
-        """Who hears of the run's stages: this recorder, the monitor, the plugins."""
-        return Observers([self, self._monitor], self._plan.plugins, self.warn)
 
     @hookimpl
     def sppm_stage_finished(self, event: StageEvent) -> None:

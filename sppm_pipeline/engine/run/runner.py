@@ -1,4 +1,10 @@
-"""Running the steps of a plan into a run directory."""
+"""The life of a run, from top to bottom.
+
+`run_plan` opens the run directory, runs the steps of the plan, and seals the record. `StepRunner.run` takes one step
+after the other: is its result kept (`_cached`)? was it made by an earlier run (`_earlier`)? else its inputs are brought
+together, it runs under its contract, its outputs are put into place, and the cache keeps what is worth it (`_fresh`).
+Then the step is recorded and told of (`_live`).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.estimate import learn
 from sppm_pipeline.engine.plan.planning import Plan, step_options
-from sppm_pipeline.engine.plan.session import check_until
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.process.resident import PeakWatch
@@ -33,7 +38,10 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.session import CacheSession
     from sppm_pipeline.engine.cache.store import Store
     from sppm_pipeline.engine.run.crew import Crew
-    from sppm_pipeline.engine.run.memory import MemoryRun
+
+
+Entry = dict[str, Any]
+"""What the run record says of a step."""
 
 
 def available_threads() -> int:
@@ -53,7 +61,7 @@ def run_plan(
     store: Store | None = None,
     about: str = "",
     key: str | None = None,
-    earlier: MemoryRun | None = None,
+    earlier: StepRunner | None = None,
     crew: Crew | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline and write ``run.json``, also when a stage fails.
@@ -76,8 +84,8 @@ def run_plan(
     key : str, optional
         Digest of all that the run depends on; with a store, a finished run of the same key in `path` that is sound to
         the byte is taken as it is.
-    earlier : MemoryRun, optional
-        A run of the same plan in memory; its stages that write nothing are not run again.
+    earlier : StepRunner, optional
+        Of a run of the same plan in memory; its stages that write nothing are not run again.
     crew : Crew, optional
         Workers that stages hand parts of their work to; ended with the run.
 
@@ -91,7 +99,7 @@ def run_plan(
     SppmError
         What stopped the run; its attribute ``record`` holds the record.
     """
-    check_until(plan, until)
+    steps = plan.until(until)
     monitor = monitor or Monitor()
     if store is not None and key is not None and (finished := finished_run(path, key)) is not None:
         return finished
@@ -102,17 +110,17 @@ def run_plan(
             crew.warn = recorder.warn
         with contextlib.nullcontext() if crew is None else contextlib.closing(crew):
             StepRunner(
-                plan.until(until),
+                steps,
                 plan.recipes,
                 seed=plan.seed,
                 threads=threads,
                 folder=recorder.folder,
                 monitor=monitor,
-                observers=recorder.observers(),
+                observers=Observers([recorder, monitor], plan.plugins, recorder.warn),
                 store=store,
                 about=about,
                 checkpoint=recorder.checkpoint,
-                earlier=earlier.runner if earlier is not None else None,
+                earlier=earlier,
                 crew=crew,
             ).run()
     return recorder.record
@@ -122,6 +130,28 @@ def only_writes(step: Step) -> bool:
     """Whether a step makes nothing but files; one whose file may be left out is there for what it reports."""
     outputs = [option for option in options_of(type(step.stage)).values() if option.spec.output]
     return not step.makes and any(option.default is not None for option in outputs)
+
+
+def entry_of(step: Step, facts: Mapping[str, Any], seconds: float, memory: float | None, *, cached: bool) -> Entry:
+    """What the run record says of a step; what is empty is left out."""
+    entry: Entry = {
+        "id": step.id,
+        "stage": step.stage.name,
+        "made": facts["made"],
+        "seconds": round(seconds, 6),
+        "peak_memory_mb": memory,
+        "cached": cached,
+        "summary": facts["summary"],
+        "options": step_options(step),
+        "inputs": dict(step.inputs),
+        "recipes": dict(step.recipes),
+        "warnings": [message if at == step.address else f"{at}: {message}" for at, message in facts["warnings"]],
+        "outputs": facts["outputs"],
+        "inner": facts["inner"],
+        "rejected": "rejection" in facts,
+    }
+    empty: tuple[Any, ...] = ({}, [], False)
+    return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
 
 
 class StepRunner:
@@ -210,39 +240,15 @@ class StepRunner:
             What stopped a step.
         """
         steps = list(self._steps.values())
-        last = last_uses(steps)
+        needless: set[str] = set()
         try:
-            for number, step in enumerate(steps, 1):
+            for number, (step, done) in enumerate(zip(steps, last_uses(steps), strict=True), 1):
                 check()
                 self._monitor.stage_started(step.id, number, len(steps))
-                started = time.perf_counter()
-                try:
-                    entry = self._entry(step)
-                except Exception as error:
-                    self._observers.stage_finished(
-                        StageEvent(
-                            step.address, step.stage.name, None, time.perf_counter() - started, {}, {}, str(error)
-                        )
-                    )
-                    raise
-                rejection: Rejected | None = self._facts.get(step.id, {}).get("rejection")
-                self.entries.append(entry)
-                self._observers.stage_finished(
-                    StageEvent(
-                        address=step.address,
-                        stage=step.stage.name,
-                        made=entry.get("made"),
-                        seconds=entry["seconds"],
-                        summary=MappingProxyType(entry["summary"]),
-                        record=MappingProxyType(entry),
-                        error=None if rejection is None else str(rejection),
-                        from_cache=entry.get("cached", False),
-                    )
-                )
-                if rejection is not None:
-                    raise rejection
+                self._live(step)
+                needless |= done - set(self._keep)
                 if number < len(steps):
-                    for id_ in {id_ for done in last[:number] for id_ in done} - set(self._keep):
+                    for id_ in needless:
                         self._results.pop(id_, None)
             if self._cache is not None:
                 # time that one stage has spent on the work of another says nothing about either
@@ -252,10 +258,115 @@ class StepRunner:
             if self._cache is not None:
                 self._cache.close()
 
-    def close(self) -> None:
-        """Release what loading results from the cache has opened."""
-        if self._cache is not None:
-            self._cache.store.close()
+    def _live(self, step: Step) -> None:
+        """The life of a stage: taken from the cache or an earlier run, or run; recorded, and told of."""
+        started = time.perf_counter()
+        try:
+            if isinstance(self._folder, Scratch) and only_writes(step):
+                facts: dict[str, Any] = {}
+                about = {"id": step.id, "stage": step.stage.name, "made": None, "seconds": 0.0}
+                entry: Entry = {**about, "skipped": True, "summary": {}}
+            else:
+                with PeakWatch() as memory:
+                    kept = self._cached(step)
+                    made = self._earlier._facts.get(step.id) if self._earlier is not None else None
+                    reused = made if made is not None and not made["wrote"] else None  # what wrote has to write here
+                    facts = kept or reused or self._fresh(step)
+                self._facts[step.id] = facts
+                entry = entry_of(step, facts, time.perf_counter() - started, memory.mb, cached=kept is not None)
+        except Exception as error:
+            self._tell(step, {}, time.perf_counter() - started, error)
+            raise
+        self.entries.append(entry)
+        rejection: Rejected | None = facts.get("rejection")
+        self._tell(step, entry, entry["seconds"], rejection)
+        if rejection is not None:
+            raise rejection
+
+    def _tell(self, step: Step, entry: Entry, seconds: float, error: Exception | None) -> None:
+        self._observers.stage_finished(
+            StageEvent(
+                address=step.address,
+                stage=step.stage.name,
+                made=entry.get("made"),
+                seconds=seconds,
+                summary=MappingProxyType(entry.get("summary", {})),
+                record=MappingProxyType(entry),
+                error=None if error is None else str(error),
+                from_cache=entry.get("cached", False),
+            )
+        )
+
+    def _cached(self, step: Step) -> dict[str, Any] | None:
+        """What the cache says of a step whose outputs are there or could be written again."""
+        entry = self._cache.look_up(step, (step.id,)) if self._cache is not None else None
+        if entry is None or self._cache is None:
+            return None
+        facts = dict(entry.facts)
+        outputs = facts["outputs"]
+        facts["wrote"] = bool(outputs)
+        if outputs:
+            if isinstance(self._folder, Scratch):
+                facts["outputs"] = []
+            elif not self._folder.holds(step.address, outputs) and not self._cache.restore(
+                step, self._folder, outputs, self._checkpoint
+            ):
+                return None
+        for at, message in facts["warnings"]:
+            self._monitor.warning(at, message)
+        return facts
+
+    def _fresh(self, step: Step) -> dict[str, Any]:
+        """Run a step; what the record says of it, also if it rejects what it got and leaves a report."""
+        # inputs, and the stage under its contract
+        log = StageLog(self._monitor, step.address)
+        inputs = self._inputs(step)
+        started = time.perf_counter()
+        made, rejection = None, None
+        try:
+            made = self._made(step, inputs, log, self._folder, lambda: self._readers(step))
+        except Rejected as error:
+            if not error.keep_outputs or isinstance(self._folder, Scratch):
+                raise
+            rejection = error
+        facts: dict[str, Any] = {
+            "made": None if made is None else type(made).__name__,
+            "summary": summary_of(made, log.values.get(step.address, {}), step),
+            "warnings": [list(warning) for warning in log.warnings],
+            "outputs": [],
+            "inner": list(log.inner.values()),
+        }
+        takers = [id_ for id_ in self._begun if step.id in self._steps[id_].inputs.values()]
+        whole = not takers or getattr(made, "is_whole", True)
+        if not whole:
+            self._handed_on |= dict.fromkeys(takers, (time.perf_counter() - started) / len(takers)) | {step.id: 0.0}
+        # outputs
+        wrote = bool(self._folder.pending())
+        files: list[tuple[str, Path]] = []
+        if isinstance(self._folder, Scratch):
+            self._folder.discard()
+        elif wrote:
+            try:
+                self._checkpoint()
+                facts["outputs"] = self._folder.commit(rejection.stage if rejection is not None else None)
+            except SppmError as error:
+                error.where, error.stage = step.where, step.address
+                raise
+            files = [(output["path"], self._folder.path / output["path"]) for output in facts["outputs"]]
+        if rejection is not None:
+            return {**facts, "wrote": wrote, "rejection": rejection}
+        # cache
+        if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
+            # what was taken from another stage while it was made can't be had without that stage
+            seconds = time.perf_counter() - started + self._handed_on.get(step.id, 0.0)
+            self._cache.keep(
+                step, facts, made if whole else None, inputs, outputs=files, seconds=seconds, drew=log.drew
+            )
+        self._results[step.id] = made
+        return {**facts, "wrote": wrote}
+
+    def _inputs(self, step: Step) -> dict[str, Any]:
+        return {port: self.result(source) if source else None for port, source in step.inputs.items()}
 
     def result(self, id_: str) -> Any:
         """What a step made: still there, loaded, or made again because only its summary was kept."""
@@ -283,105 +394,6 @@ class StepRunner:
         self._results[id_] = made
         return made
 
-    def _entry(self, step: Step) -> dict[str, Any]:
-        """Take a step from the cache or run it; what the run record says of it."""
-        started = time.perf_counter()
-        about: dict[str, Any] = {"id": step.id, "stage": step.stage.name}
-        if isinstance(self._folder, Scratch) and only_writes(step):
-            return {**about, "made": None, "seconds": 0.0, "skipped": True, "summary": {}}
-        with PeakWatch() as memory:
-            facts = self._cached(step)
-            cached = facts is not None
-            facts = facts or self._reused(step) or self._fresh(step)
-        self._facts[step.id] = facts
-        entry: dict[str, Any] = {
-            **about,
-            "made": facts["made"],
-            "seconds": round(time.perf_counter() - started, 6),
-            "peak_memory_mb": memory.mb,
-            "cached": cached,
-            "summary": facts["summary"],
-            "options": step_options(step),
-            "inputs": dict(step.inputs),
-            "recipes": dict(step.recipes),
-            "warnings": [message if at == step.address else f"{at}: {message}" for at, message in facts["warnings"]],
-            "outputs": facts["outputs"],
-            "inner": facts["inner"],
-            "rejected": "rejection" in facts,
-        }
-        empty: tuple[Any, ...] = ({}, [], False)
-        return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
-
-    def _cached(self, step: Step) -> dict[str, Any] | None:
-        """What the cache says of a step whose outputs are there or could be written again."""
-        entry = self._cache.look_up(step, (step.id,)) if self._cache is not None else None
-        if entry is None or self._cache is None:
-            return None
-        facts = dict(entry.facts)
-        outputs = facts["outputs"]
-        facts["wrote"] = bool(outputs)
-        if outputs:
-            if isinstance(self._folder, Scratch):
-                facts["outputs"] = []
-            elif not self._folder.holds(step.address, outputs) and not self._cache.restore(
-                step, self._folder, outputs, self._checkpoint
-            ):
-                return None
-        for at, message in facts["warnings"]:
-            self._monitor.warning(at, message)
-        return facts
-
-    def _reused(self, step: Step) -> dict[str, Any] | None:
-        """What an earlier runner says of a step that wrote nothing."""
-        facts = self._earlier._facts.get(step.id) if self._earlier is not None else None
-        return None if facts is None or facts["wrote"] else facts
-
-    def _fresh(self, step: Step) -> dict[str, Any]:
-        """Run a step; what the record says of it, also if it rejects what it got and leaves a report."""
-        log = StageLog(self._monitor, step.address)
-        inputs = self._inputs(step)
-        started = time.perf_counter()
-        made, rejection = None, None
-        try:
-            made = self._made(step, inputs, log, self._folder, lambda: self._readers(step))
-        except Rejected as error:
-            if not error.keep_outputs or isinstance(self._folder, Scratch):
-                raise
-            rejection = error
-        facts: dict[str, Any] = {
-            "made": None if made is None else type(made).__name__,
-            "summary": summary_of(made, log.values.get(step.address, {}), step),
-            "warnings": [list(warning) for warning in log.warnings],
-            "outputs": [],
-            "inner": list(log.inner.values()),
-        }
-        takers = [id_ for id_ in self._begun if step.id in self._steps[id_].inputs.values()]
-        whole = not takers or getattr(made, "is_whole", True)
-        if not whole:
-            self._handed_on |= dict.fromkeys(takers, (time.perf_counter() - started) / len(takers)) | {step.id: 0.0}
-        wrote = bool(self._folder.pending())
-        files: list[tuple[str, Path]] = []
-        if isinstance(self._folder, Scratch):
-            self._folder.discard()
-        elif wrote:
-            try:
-                self._checkpoint()
-                facts["outputs"] = self._folder.commit(rejection.stage if rejection is not None else None)
-            except SppmError as error:
-                error.where, error.stage = step.where, step.address
-                raise
-            files = [(output["path"], self._folder.path / output["path"]) for output in facts["outputs"]]
-        if rejection is not None:
-            return {**facts, "wrote": wrote, "rejection": rejection}
-        if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
-            # what was taken from another stage while it was made can't be had without that stage
-            seconds = time.perf_counter() - started + self._handed_on.get(step.id, 0.0)
-            self._cache.keep(
-                step, facts, made if whole else None, inputs, outputs=files, seconds=seconds, drew=log.drew
-            )
-        self._results[step.id] = made
-        return {**facts, "wrote": wrote}
-
     def _made(
         self,
         step: Step,
@@ -390,9 +402,8 @@ class StepRunner:
         folder: RunFolder | Scratch,
         readers: Callable[[], Sequence[Any]] = tuple,
     ) -> Any:
-        context = self._context(step, log, folder, readers)
         try:
-            return run_step(step, step.stage, inputs, context, self._recipes)
+            return run_step(step, step.stage, inputs, self._context(step, log, folder, readers), self._recipes)
         finally:
             if self._crew is not None:
                 self._crew.forget()
@@ -433,5 +444,7 @@ class StepRunner:
         self._begun |= {other.id: taker for other, taker in zip(readers, begun, strict=True)}
         return begun
 
-    def _inputs(self, step: Step) -> dict[str, Any]:
-        return {port: self.result(source) if source else None for port, source in step.inputs.items()}
+    def close(self) -> None:
+        """Release what loading results from the cache has opened."""
+        if self._cache is not None:
+            self._cache.store.close()

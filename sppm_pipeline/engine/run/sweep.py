@@ -16,10 +16,11 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.config.problems import raise_problems
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
-from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
+from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session, sweep_problems
 from sppm_pipeline.engine.process.activity import current, of_run, share
-from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.executors import default_executor, make_executor, serve
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
@@ -91,9 +92,9 @@ def run_sweep(
         holds the record.
     """
     monitor = monitor or Monitor()
-    check_until(plan, until)
     rows = session.rows
-    check_sweep(session, rows, until)
+    plan.until(until)
+    raise_problems(sweep_problems(session, plan, rows, until))
     asked = _Asked(
         workers=workers,
         executor=executor or default_executor(workers),
@@ -125,7 +126,7 @@ def run_sweep(
                 threads=threads,
                 folder=recorder.folder,
                 monitor=monitor,
-                observers=recorder.observers(),
+                observers=Observers([recorder, monitor], plan.plugins, recorder.warn),
                 available={SWEEP_ID: _table(columns, found, path)},
                 store=_store(cache),
                 checkpoint=recorder.checkpoint,

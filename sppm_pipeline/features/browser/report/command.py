@@ -91,7 +91,7 @@ def of_run(
     from dataclasses import replace
 
     from sppm_pipeline.engine.cache.housekeeping import open_store
-    from sppm_pipeline.engine.cli.arguments import allowed_from, cache_of
+    from sppm_pipeline.engine.cli.arguments import cache_of
     from sppm_pipeline.engine.files import write_whole
     from sppm_pipeline.engine.plan.session import RunRequest
     from sppm_pipeline.engine.run.outputs import RECORD
@@ -105,7 +105,7 @@ def of_run(
         str(path / RECORD),
         plugins=tuple(args.plugin),
         distributions=not args.no_plugins,
-        allowed=allowed_from(args),
+        allowed=allowed_plugins(args.allow_plugins),
     )
     found: tuple[bytes | None, str] = (None, "")
     if view:

@@ -22,7 +22,7 @@ def execute(args: Namespace) -> int:
     """Serve the page until interrupted."""
     import webbrowser
 
-    from sppm_pipeline.engine.cli.arguments import allowed_from
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
     from sppm_pipeline.engine.run.runner import available_threads
     from sppm_pipeline.features.browser.studio.design import START, Design
@@ -33,7 +33,7 @@ def execute(args: Namespace) -> int:
         "cell.yaml" if args.start is None else str(find_configuration(args.start)),
         plugins=tuple(args.plugin),
         distributions=not args.no_plugins,
-        allowed=allowed_from(args),
+        allowed=allowed_plugins(args.allow_plugins),
         text=START if args.start is None else None,
     )
     # an example of the package is a start, and no file of the user's; nor is the record of a run to be edited

@@ -166,7 +166,7 @@ class Design:
             if isinstance(made, (TileSet, Tiling, Part)):
                 return {}
             document = {"sppm": FORMAT, "name": "numbers", "pipeline": [dict(entry) for entry in NUMBERS]}
-            configuration = parse_configuration(compose(document, "numbers"), Path("numbers"), ".")
+            configuration, _ = parse_configuration(compose(document, "numbers"), Path("numbers"), ".")
             plan = make_plan(configuration, self._session.registry, available={"cell": (type(made),)})
             record = run_in_memory(plan, threads=self.threads, available={"cell": made}).record
             found: dict[str, Any] = {entry["id"]: jsonable(entry["summary"]) for entry in record["stages"]}
