@@ -93,6 +93,7 @@ def of_run(
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.cli.arguments import cache_of
     from sppm_pipeline.engine.files import write_whole
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.plan.session import RunRequest
     from sppm_pipeline.engine.run.outputs import RECORD
     from sppm_pipeline.engine.run.runner import available_threads

@@ -235,7 +235,8 @@ class Design:
     def _with_text(self, text: str) -> Session:
         """The session with another text; plugins stay as they were loaded."""
         request = dataclasses.replace(self._session.request, text=text)
-        return dataclasses.replace(self._session, request=request, configuration=request.read())
+        configuration, unread = request.read()
+        return dataclasses.replace(self._session, request=request, configuration=configuration, unread=unread)
 
     def faults(self, error: SppmError, changes: Mapping[str, Any]) -> list[dict[str, Any]]:
         """What is wrong, each with the key of its control where that is known, and the stage."""
