@@ -1,27 +1,36 @@
 """Digests of what every configuration and example makes at a low resolution: whatever changes a result is noticed.
 
-Usage: python -m benchmarks.digests [--write] [NAME...]
+Usage: python -m benchmarks.digests [--write | --mark] [NAME...]
 
 Runs all configurations and examples, or those named, prints which outputs differ from the list in
-``benchmarks/digests.json``, and ends with exit code 1 if any does; ``--write`` writes the list anew. The same runs are
-compared with it by ``tests/test_configs.py``.
+``benchmarks/digests.json``, and ends with exit code 1 if any does; with ``--write`` the list is written anew. The same
+runs are compared with it by ``tests/test_configs.py``.
 
 A digest is the first 16 hexadecimal digits of a SHA-256 of what a file says, not of its bytes: other compression,
 another order of keys or another spacing changes nothing. Layers of a stack, and files of the same name in the runs of a
-sweep, share one digest. Results are the same on any number of threads, but compiled kernels and BLAS round differently
-on other processors, and therefore
+sweep, share one digest. What counts:
 
-* layers, pictures and animations count pixel by pixel: no pixel is known to lie so close to a threshold;
-* vertices and nodes are rounded to 1e-6 of the largest coordinate, faces and cells count as they are;
-* numbers of the run record, of tables and of text are rounded to 6 significant digits, but not finer than 1e-12; those
-  of a list (a tensor, a column, ``C.1.1`` to ``C.6.6``) to as many decimals as its largest, so that an entry that
-  vanishes by symmetry counts as 0, whatever a solver leaves there;
-* charts count pixel by pixel where they are drawn by the release of matplotlib that drew those of the list; by any
-  other they are not compared, as it decides on fonts and ticks;
-* a printer's file counts byte by byte: no library has a part in it.
+* layers, pictures, charts and animations: every pixel;
+* meshes and volume meshes: faces and cells as they are, coordinates rounded to 1e-6 of the largest;
+* arrays of voxels: whole numbers as they are, others rounded to 1e-6 of the largest;
+* numbers of the run record, of tables and of text: rounded to 6 significant digits, but not finer than 1e-12; those of
+  a list (a tensor, a column, ``C.1.1`` to ``C.6.6``) to as many decimals as its largest, so that an entry that vanishes
+  by symmetry counts as 0, whatever a solver leaves there;
+* a printer's file: every byte, as no library has a part in it.
 
 Of the run record, summaries of stages count; times, memory, versions, paths, options and the words of warnings do not.
 ``sweep.csv`` is left out, whose numbers are those of ``sweep.json``.
+
+Results are the same on any number of threads, but not on any processor, nor with any release of a library: compiled
+kernels round differently, a vertex moves by 1e-6, a search for a porosity ends elsewhere, a font is wider. No rounding
+makes that go away. Outputs with an asterisk in the list are those that were seen to differ; they are compared only on a
+processor and with releases as the list names them, all others everywhere. Elsewhere write the list anew before a
+change, and compare with that. ``--mark`` gives an asterisk to whatever differs from the list, for instance on a
+processor without fused multiply-add::
+
+    NUMBA_CPU_NAME=x86-64-v2 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem python -m benchmarks.digests --mark
+
+and with the libraries of ``make test-oldest``.
 """
 
 from __future__ import annotations
@@ -38,6 +47,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,6 +56,7 @@ from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_suffix(".json")
+LIBRARIES = ("numpy", "numba", "scipy", "pillow", "matplotlib", "manifold3d", "networkx")
 
 
 class Small(NamedTuple):
@@ -280,7 +291,6 @@ def digests(folder: Path) -> dict[str, str]:
         If a file is of a kind that is not known.
     """
     found: dict[str, Any] = {}
-    charts = set()
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_dir() or name == "sweep.csv" or path.name == "SHA256SUMS":
@@ -288,45 +298,42 @@ def digests(folder: Path) -> dict[str, str]:
         decode = DECODERS.get(path.suffix)
         if decode is None:
             raise ValueError(f"{name}: no decoder for {path.suffix or 'files without extension'}")
-        key = re.sub(r"\d{4,}", "*", name)
-        digest = found.setdefault(key, hashlib.sha256())
+        digest = found.setdefault(re.sub(r"\d{4,}", "*", name), hashlib.sha256())
         digest.update(name.encode())
         for piece in decode(path):
-            if piece == CHART:
-                charts.add(key)
             digest.update(piece)
-    return {key: digest.hexdigest()[:16] + _drawn_with(key in charts) for key, digest in found.items()}
+    return {key: digest.hexdigest()[:16] for key, digest in found.items()}
 
 
-def changes(name: str, folder: Path) -> list[str]:
-    """What differs between the results of a configuration in `folder` and the list, a line for each output."""
-    listed, found = json.loads(LIST.read_text(encoding="utf-8")).get(name, {}), digests(folder)
-    lines = [f"{name}: {output} is new" for output in found.keys() - listed.keys()]
-    lines += [f"{name}: {output} is missing" for output in listed.keys() - found.keys()]
+def surroundings() -> dict[str, str]:
+    """What outputs with an asterisk depend on: the processor that kernels are compiled for, and libraries."""
+    import llvmlite.binding as llvm
+
+    processor = os.environ.get("NUMBA_CPU_NAME") or llvm.get_host_cpu_name()
+    return {"processor": processor} | {name: version(name) for name in LIBRARIES}
+
+
+def changes(name: str, folder: Path) -> dict[str, str]:
+    """What happened to outputs of a configuration, by path: its results in `folder` against the list."""
+    document = json.loads(LIST.read_text(encoding="utf-8"))
+    listed, found = document["digests"].get(name, {}), digests(folder)
+    told = dict.fromkeys(found.keys() - listed.keys(), "is new") | dict.fromkeys(
+        listed.keys() - found.keys(), "is missing"
+    )
+    alike = document["of"] == surroundings()
     for output in found.keys() & listed.keys():
-        (old, *drawn), (new, *drawing) = listed[output].split(" ", 1), found[output].split(" ", 1)
-        if old != new and drawn == drawing:
-            lines.append(f"{name}: {output} has changed")
-    return sorted(lines)
+        if found[output] != listed[output].rstrip("*") and (alike or not listed[output].endswith("*")):
+            told[output] = "has changed"
+    return dict(sorted(told.items()))
 
 
 def check(name: str, folder: Path) -> None:
     """Raise an `AssertionError` that says which outputs of a configuration have changed, and what to do."""
-    found = changes(name, folder)
-    hint = f"if that is wanted: python -m benchmarks.digests --write {name}"
-    assert not found, "\n".join([*found, hint])
+    lines = [f"{name}: {output} {what}" for output, what in changes(name, folder).items()]
+    assert not lines, "\n".join([*lines, f"if that is wanted: python -m benchmarks.digests --write {name}"])
 
-
-CHART = b"chart"
-"""Marks the pixels of a chart."""
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
-
-
-def _drawn_with(chart: bool) -> str:
-    from importlib.metadata import version
-
-    return f" matplotlib {version('matplotlib')}" if chart else ""
 
 
 def rounded(values: Iterable[float]) -> list[float]:
@@ -416,12 +423,10 @@ def _text(path: Path) -> Iterator[bytes]:
 
 
 def _png(path: Path) -> Iterator[bytes]:
-    """Frame by frame; matplotlib's charts are the only pictures in four channels that have a physical size."""
+    """Frame by frame."""
     from PIL import Image, ImageSequence
 
     with Image.open(path) as image:
-        if image.mode == "RGBA" and "dpi" in image.info:
-            yield CHART
         yield f"{image.mode} {image.info.get('duration')}".encode()
         for frame in ImageSequence.Iterator(image):
             yield f"{frame.size}".encode()
@@ -467,37 +472,64 @@ DECODERS: Mapping[str, Callable[[Path], Iterator[bytes]]] = {
 """What a file says, by its extension."""
 
 
-def main() -> int:
-    """Run, compare, print; see the docstring of this module."""
-    parser = argparse.ArgumentParser(description="Compare the results of configurations and examples with the list.")
-    parser.add_argument("--write", action="store_true", help="write the list anew")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="of these; else of all")
-    arguments = parser.parse_args()
-    if unknown := set(arguments.names) - set(SMALL):
-        parser.error(f"there is no configuration {sorted(unknown)[0]!r}")
-    os.environ["SPPM_COMPILE_AHEAD"] = "off"
+def results(names: Iterable[str]) -> Iterator[tuple[str, Path]]:
+    """Runs configurations at a low resolution; each with the folder of its results, which is there until the next."""
     from sppm_pipeline.engine.cli.main import main as sppm
 
-    found, lines = {}, []
-    for name in arguments.names or sorted(SMALL):
+    for name in names:
         with tempfile.TemporaryDirectory() as scratch:
             said = io.StringIO()
             with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
                 code = sppm(command(name, Path(scratch)))
             if code:
-                print(said.getvalue(), file=sys.stderr)
-                return 2
-            if arguments.write:
-                found[name] = digests(Path(scratch, "run"))
-            else:
-                lines += changes(name, Path(scratch, "run"))
+                raise RuntimeError(f"{name}: sppm run ended with {code}:\n{said.getvalue()}")
+            yield name, Path(scratch, "run")
+
+
+def written(document: Mapping[str, Any]) -> None:
+    """Put the list into its file."""
+    LIST.write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def main() -> int:
+    """Run and compare, or write the list."""
+    parser = argparse.ArgumentParser(description="Compare the results of configurations and examples with the list.")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--write", action="store_true", help="write the list anew; asterisks stay")
+    what.add_argument("--mark", action="store_true", help="give an asterisk to outputs that differ")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of these; else of all")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(SMALL):
+        parser.error(f"there is no configuration {sorted(unknown)[0]!r}")
+    os.environ["SPPM_COMPILE_AHEAD"] = "off"
+    document = json.loads(LIST.read_text(encoding="utf-8"))
+    old, alike = document["digests"], document["of"] == surroundings()
+    if arguments.write and arguments.names and not alike:
+        parser.error(f"the list is of {document['of']}, not of {surroundings()}: write all of it")
+    if arguments.mark and alike:
+        parser.error(
+            "this is the processor, and these are the libraries, that the list is of: what differs has changed"
+        )
+    new, count = {}, 0
+    for name, folder in results(arguments.names or sorted(SMALL)):
+        if arguments.write:
+            marked = {output for output, digest in old.get(name, {}).items() if digest.endswith("*")}
+            new[name] = {key: digest + "*" * (key in marked) for key, digest in digests(folder).items()}
+            continue
+        for output, change in changes(name, folder).items():
+            print(f"{name}: {output} {change}")
+            count += 1
+            if arguments.mark and change == "has changed" and not old[name][output].endswith("*"):
+                old[name][output] += "*"
     if arguments.write:
-        old = json.loads(LIST.read_text(encoding="utf-8")) if arguments.names else {}
-        LIST.write_text(json.dumps(old | found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        print(f"written: {LIST}")
-    else:
-        print("\n".join(lines) or f"{len(arguments.names or SMALL)} configurations, nothing differs")
-    return 1 if lines else 0
+        written({"of": surroundings(), "digests": old | new if arguments.names else new})
+        return 0
+    if arguments.mark:
+        written(document)
+        return 0
+    compared = "" if alike else f"; outputs with an asterisk were not compared, which are of {document['of']}"
+    print(f"{count} outputs differ{compared}")
+    return 1 if count else 0
 
 
 if __name__ == "__main__":
