@@ -14,7 +14,7 @@ import sppm_pipeline as sppm
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES, SIZE, COLORS, PAUSE_MS = 36, (480, 320), 32, 110
-"""A choice: a turn in four seconds, in less than 2 MB."""
+"""A full turn in four seconds; more frames or colors exceed 2 MB, which the front page should stay below."""
 
 
 def main() -> None:

@@ -1,10 +1,10 @@
 """Write the gallery: runs small examples, and makes a page of each with its picture, its YAML and the same in Python.
 
-Usage: ``python docs/generate_gallery.py`` writes the pages; ``--check`` only tells which are stale (exit code 1);
-``--run [NAME ...]`` runs the examples and draws the pictures anew; ``--reports DIR`` runs them and writes their
+Usage: ``python docs/generate_gallery.py`` writes the pages; ``--check`` only lists stale ones (exit code 1);
+``--run [NAME ...]`` runs the examples and redraws the pictures; ``--reports DIR`` runs them and writes their
 reports, for the site.
 
-The words of a page are the comments on top of its configuration.
+The text of a page is the comment on top of its configuration.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def index_page() -> str:
         "",
         NOTICE,
         "",
-        "A click on a picture leads to the file that makes it, and the same in Python.",
+        "Click a picture for the YAML and the Python that make it.",
     ]
     for heading, group in GALLERY.items():
         lines += ["", f"## {heading}", "", "| | |", "|---|---|"]
@@ -207,8 +207,8 @@ def reduced(data: bytes) -> bytes:
 def main() -> int:
     """Write the pages, or say which are stale; run the examples if asked."""
     parser = argparse.ArgumentParser(description="Write the gallery.")
-    parser.add_argument("--check", action="store_true", help="only tell which pages are stale")
-    parser.add_argument("--run", nargs="*", metavar="NAME", help="draw the pictures anew: all, or these")
+    parser.add_argument("--check", action="store_true", help="only list stale pages")
+    parser.add_argument("--run", nargs="*", metavar="NAME", help="redraw the pictures: all, or these")
     parser.add_argument("--reports", type=Path, metavar="DIR", help="write the reports of all examples here")
     arguments = parser.parse_args()
     if arguments.reports:

@@ -1,6 +1,6 @@
 """Write the reference pages of stages, data types and command line from the program itself.
 
-Usage: ``python docs/generate_reference.py`` writes them, ``--check`` only tells which are stale (exit code 1).
+Usage: ``python docs/generate_reference.py`` writes them, ``--check`` only lists which are stale (exit code 1).
 
 Everything on these pages is declared once, in the code: options beside their stage, ports in the signature of `run`,
 arguments in the verb's module, shapes, units and orders in the docstring of a data type. ``yaml.md`` and ``python.md``

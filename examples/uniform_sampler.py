@@ -1,4 +1,4 @@
-"""A plugin in one file: independent uniform pores, which may come as close to each other as chance has it."""
+"""A plugin in one file: independent uniform pores without a minimum distance."""
 
 from dataclasses import dataclass
 from typing import ClassVar
