@@ -132,10 +132,10 @@ def data_types(registry: Registry) -> dict[str, type]:
     for name in registry:
         signature = signature_of(registry.get(name))
         used.update(signature.makes, *(port.types for port in signature.ports if not port.is_recipe))
-    names = {cls.__name__ for cls in used} & set(sppm_pipeline.__all__)
     faces = (sppm_pipeline, sppm_pipeline.nouns, sppm_pipeline.numerics)
-    every = sorted(names | set(PARTS), key=str.lower)
-    return {name: next(getattr(face, name) for face in faces if name in face.__all__) for name in every}
+    public = {name: getattr(face, name) for face in reversed(faces) for name in face.__all__}
+    names = {cls.__name__ for cls in used} & set(public)
+    return {name: public[name] for name in sorted(names | set(PARTS), key=str.lower)}
 
 
 def data_page(cls: type, types: Mapping[str, type], registry: Registry) -> str:
