@@ -2,13 +2,14 @@
 
 import json
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-import sppm_pipeline
-
 ROOT = Path(__file__).resolve().parents[2]
+
+FACES = ("sppm_pipeline", *(f"sppm_pipeline.{face}" for face in ("errors", "formats", "nouns", "numerics", "pictures")))
 
 PRIVATE = {
     "plugins/sppm-structures/examples/draw_published_curves.py",  # draws with the charts of the program itself
@@ -44,11 +45,11 @@ def internal_imports(text):
     for line in _IMPORT.findall(text):
         words = line.split()
         module = words[1]
-        if module != "sppm_pipeline" and not f"{module}.".startswith("sppm_pipeline.testing."):
+        if module not in FACES and not f"{module}.".startswith("sppm_pipeline.testing."):
             found.append(line.strip())
-        elif words[0] == "from" and module == "sppm_pipeline" and "(" not in line:
+        elif words[0] == "from" and module in FACES and "(" not in line:
             names = (part.split()[0] for part in line.partition(" import ")[2].split(","))
-            found += [name for name in names if not hasattr(sppm_pipeline, name)]
+            found += [name for name in names if not hasattr(import_module(module), name)]
     return found
 
 
