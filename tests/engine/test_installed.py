@@ -4,6 +4,7 @@ import importlib.metadata
 import os
 import posixpath
 import sys
+from importlib.machinery import PathFinder
 
 import pytest
 
@@ -90,6 +91,8 @@ def test_what_lies_elsewhere_is_asked_of_the_standard_library(monkeypatch):
 
     asked = []
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: asked.append(group) or [])
+    usual = [finder for finder in sys.meta_path if finder is PathFinder or not hasattr(finder, "find_distributions")]
+    monkeypatch.setattr(sys, "meta_path", usual)  # without finders of libraries that other tests have imported
     installed.entry_points("sppm")
     assert asked == []
     monkeypatch.setattr(sys, "meta_path", [*sys.meta_path, Finder])
