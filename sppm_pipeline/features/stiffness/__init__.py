@@ -1,4 +1,4 @@
-"""Stiffness: elastic homogenization of voxels, and what is made of the tensor."""
+"""Elastic homogenization of voxels, and analysis of the stiffness tensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walls between pores, pierced by tunnels, in any layout of interiors and faces."""
+"""Microstructure of walls between pores, pierced by tunnels, for any layout of interiors and faces."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
     from sppm_pipeline.features.walls.numerics.walls import WallSampler
 
 _SAMPLERS = 32
-"""Layouts of one microstructure whose Voronoi cells are kept."""
+"""Layouts of one microstructure whose Voronoi cells are cached, each up to `_KEPT_BYTES`; not measured."""
 
 DEPTH = 0.2
-"""Mean distances of pores from a tunnel, farther than which the field does not look at it: no wall is as thick."""
+"""Distance from a tunnel, in mean distances of pores, up to which the field accounts for it: no wall is as thick."""
 
 
 @dataclass(frozen=True, eq=False)
 class WalledMicrostructure(Microstructure):
     """Solid within half a thickness of the faces of the pores' Voronoi cells, but for the tunnels.
 
-    What other microstructures call their kernel sum G is here the `opening`, the half thickness above which walls close
-    a point, and the level is half the thickness of the walls. As tunnels stay open at any thickness, G jumps at
-    their surface; what is sampled instead has the same sign and is a distance from walls and tunnels near both.
+    The `opening`, the half thickness above which walls close a point, takes the place of the kernel sum G of other
+    microstructures, and the level is half the thickness of the walls. As tunnels stay open at any thickness, G jumps at
+    their surface; the sampled field has the same sign and is a distance from walls and tunnels near both.
 
     Attributes
     ----------
     pieces : Pieces
-        Of the kernels only the places count, and the radii of the tunnels, ``1 / mu``.
+        Only the positions of the kernels are used, and the radii of the tunnels, ``1 / mu``.
     level : float
         Half the thickness of the walls, cell sizes.
     rounding : float
@@ -51,7 +51,7 @@ class WalledMicrostructure(Microstructure):
 
     @property
     def coarse_pitch(self) -> None:
-        """Walls have creases, between which nothing may be interpolated."""
+        """None: walls have creases, across which nothing may be interpolated."""
         return None
 
     def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
@@ -64,11 +64,12 @@ class WalledMicrostructure(Microstructure):
 
     @property
     def reach(self) -> float:
-        """A face nearby lies between pores not farther than the largest empty radius from it."""
+        """Distance beyond which pores and tunnels do not change a sample, cell sizes."""
         from sppm_pipeline.features.walls.numerics.walls import largest_empty_radius
 
-        widest = 1 / float(self.pieces.kernels.mu.min(initial=np.inf))
-        return max(largest_empty_radius(self.pieces) + 2 * self.level + self.rounding, widest)
+        max_tunnel_radius = 1 / float(self.pieces.kernels.mu.min(initial=np.inf))
+        # a face lies between pores that are not farther from it than the largest empty radius
+        return max(largest_empty_radius(self.pieces) + 2 * self.level + self.rounding, max_tunnel_radius)
 
     @property
     def thinnest_wall(self) -> float | None:
@@ -78,22 +79,22 @@ class WalledMicrostructure(Microstructure):
         self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1,
         wanted: NDArray[np.int32] | None = None,
     ) -> NDArray[np.float32]:  # fmt: skip
-        """The half thickness above which walls close each sample of a layout."""
-        from sppm_pipeline.features.walls.numerics.between_pores import opening
+        """Half thickness above which walls close each sample of a layout."""
+        from sppm_pipeline.features.walls.numerics.walls import opening
 
         return opening(*self._sampler(arrays).sample(grid, start, stop, threads), self.rounding)
 
     def laid_values(
         self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
     ) -> NDArray[np.float32]:
-        """The larger of the distance from walls and the depth in tunnels, negative in the solid."""
-        from sppm_pipeline.features.walls.numerics.between_pores import wall_field
+        """Larger of the distance from walls and the depth in tunnels, negative in the solid."""
+        from sppm_pipeline.features.walls.numerics.walls import wall_field
 
         distance, depth = self._sampler(arrays).sample(grid, start, stop, threads)
         return wall_field(distance, depth, self.level, self.rounding)
 
     def _sampler(self, arrays: TilingArrays) -> WallSampler:
-        """Distances do not depend on the level, so microstructures that differ in nothing else share them."""
+        """Return the sampler of a layout, shared by microstructures that differ in nothing but the level."""
         from sppm_pipeline.features.walls.numerics.walls import WallSampler
 
         h = hashlib.sha256(repr((arrays.shape, arrays.periodic, arrays.halo)).encode())

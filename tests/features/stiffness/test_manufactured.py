@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.features.flow.numerics.conduction import conduction_hierarchy
-from sppm_pipeline.features.stiffness.numerics.elastic_level import elastic_hierarchy
+from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import conjugate_gradients, rigid_modes
 from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_assembly import assemble
 from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import Blocks
@@ -89,7 +89,7 @@ def test_displacements_converge_with_second_order(poisson):
         exact = displacement(*nodes)
         force = body_force(mu, ratio, exact)
         middle = coefficient(*periodic(n, half=True))
-        hierarchy = elastic_hierarchy(ratio * middle, middle, (1 / n,) * 3, np.float64)
+        hierarchy = grids_of(ElasticLevel(Moduli.of(ratio * middle, middle), (1 / n,) * 3, np.float64))
         errors.append(nodal_error(hierarchy, np.array(force).reshape(-1) / n**3, exact))
     assert (observed_order(errors) > 1.8).all()
     assert errors[-1] < 0.02

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.walls.numerics.between_pores import OPEN, opening, wall_field
-from sppm_pipeline.features.walls.numerics.windows import raise_to_depth
+from sppm_pipeline.features.walls.numerics.walls import OPEN, opening, raise_to_depth, wall_field
 from sppm_pipeline.services.grid import Grid
 
 GRID = Grid((-0.1, 0.0, 0.05), (0.037, 0.051, 0.043), (31, 19, 21))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.features.flow.numerics.conduction import conduction_hierarchy, conductivity
-from sppm_pipeline.features.stiffness.numerics.elastic_level import elastic_hierarchy
+from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
 from sppm_pipeline.services.multigrid.hierarchy import coarser
 from sppm_pipeline.services.multigrid.rows import APPLY
@@ -17,7 +17,7 @@ PHYSICS = ["conduction", "elasticity"]
 def hierarchy_of(physics, image, edges=(1.0, 1.0, 1.0), safe=False):
     if physics == "conduction":
         return conduction_hierarchy(image, edges, np.float64, safe=safe)
-    return elastic_hierarchy(0.7 * image, image, edges, np.float64, safe=safe)
+    return grids_of(ElasticLevel(Moduli.of(0.7 * image, image), edges, np.float64), safe=safe)
 
 
 def applied(hierarchy, depth, v, work):

@@ -1,4 +1,4 @@
-"""The strain energy and the mean stress of a displacement field, of which the effective stiffness is made."""
+"""Strain energy and mean stress of a displacement field, from which the effective stiffness follows."""
 
 from __future__ import annotations
 
@@ -25,10 +25,8 @@ _R = tuple(np.uint64(STRIDE * row) for row in range(_MODES))
 
 @inline_jit
 def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any], width: Any) -> None:
-    """Strains of a row of bricks, so weighted that energy is lam times the first 7 squared plus mu times the others.
-
-    The names are those of `apply_stiffness`.
-    """
+    """Weighted strains of a row of bricks: the energy is lam times the first 7 squared plus mu times the others."""
+    # names as in `elastic_operator`: x100 is the coefficient of ξ of the displacement along x
     gx, gy, gz = c[0], c[1], c[2]
     nxy, nxz, nyx, nyz, nzx, nzy = c[3], c[4], c[5], c[6], c[7], c[8]
     third, root = c[9], c[10]
@@ -36,6 +34,7 @@ def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any],
     exx, eyy, ezz, eyz, exz, exy = strain[0], strain[1], strain[2], strain[3], strain[4], strain[5]
     for e in range(_HEAD, _HEAD + width):
         o = to + e
+        # differences along x and y of the sums and differences along z that `gather_row` left
         a, b, f, g = s[e + _R[0]], s[e + _R[0] + _1], s[e + _R[6]], s[e + _R[6] + _1]
         x010 = (f + g) - (a + b)
         x100 = (b - a) + (g - f)
@@ -63,6 +62,7 @@ def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any],
         z011 = (f + g) - (a + b)
         z101 = (b - a) + (g - f)
         z111 = (g - f) - (b - a)
+        # constant strains; each mode is a square of its own, since monomials are orthogonal over a brick
         ax, ay, az = gx * x100 + exx, gy * y010 + eyy, gz * z001 + ezz
         s[o + _R[0]] = ax + ay + az
         s[o + _R[1]] = third * (gx * x110 + gz * z011)
@@ -96,7 +96,7 @@ def _energy_row(
     s: NDArray[Any], a: Any, lam: NDArray[Any], mu: NDArray[Any], factor: Any, at: Any, width: Any
 ) -> float:
     """Energy of a row of strains."""
-    total = 0.0
+    total = 0.0  # in double precision, as all sums over voxels
     for e in range(_HEAD, _HEAD + width):
         i = a + e
         dilatation = (
@@ -136,7 +136,7 @@ def _energy_row(
 def _normal_row(
     s: NDArray[Any], a: Any, mode: Any, root: Any, lam: NDArray[Any], mu: NDArray[Any], factor: Any, at: Any, width: Any
 ) -> float:
-    """A normal stress of a row, of constant strains times the root of 2."""
+    """Normal stress summed over a row, from constant strains times the root of 2."""
     total = 0.0
     for e in range(_HEAD, _HEAD + width):
         total += np.float64(factor * lam[at + e] * s[a + e] + mu[at + e] * (root * s[mode + e]))
@@ -145,7 +145,7 @@ def _normal_row(
 
 @inline_jit
 def _shear_row(s: NDArray[Any], mode: Any, mu: NDArray[Any], at: Any, width: Any) -> float:
-    """A shear stress of a row."""
+    """Shear stress summed over a row."""
     total = 0.0
     for e in range(_HEAD, _HEAD + width):
         total += np.float64(mu[at + e] * s[mode + e])
@@ -173,11 +173,11 @@ def energy_and_stress(
     u : (3 nz ny nx,)
         Displacements.
     lam, mu : flat
-        Lamé constants as `apply_stiffness` takes them, and the factor of the first one.
+        Lamé constants as for `apply_stiffness`; `factor` multiplies the first one.
     c : (14,)
         From `energy_coefficients`.
     strain : (6,)
-        Constant strain that is added, times the root of a voxel's volume.
+        Additional constant strain, times the root of a voxel's volume.
     shape : (3,) int64
         nx, ny, nz.
     s : (ENERGY_ROWS * STRIDE,)
@@ -189,6 +189,7 @@ def energy_and_stress(
     padded = np.uint64(len(lam)) // (lines * planes)
     root = c[10]
     out[:] = 0
+    # periodic: the neighbors of the last plane and line are the first ones
     for z in range(planes):
         above = (z + _1) % planes
         for y in range(lines):
@@ -211,7 +212,7 @@ def energy_and_stress(
 
 
 def energy_coefficients(edges: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Square roots of the weights of the modes of a brick with these edges, (14,)."""
+    """Square roots of the weights of the modes of a brick with edges (hx, hy, hz), (14,)."""
     h = np.array(edges, np.float64)
     g = np.sqrt(h.prod()) / (4 * h)
     q = g * g

@@ -1,4 +1,4 @@
-"""One grid of an elastic body, and all grids of it."""
+"""Grids of an elastic body for multigrid."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sppm_pipeline.services.multigrid.rows import APPLY, HEAD, STRIDE
 from sppm_pipeline.services.multigrid.transfer import NodalTransfer, coarsened, coarser_widths, shortness
 
 _STRETCH = 1.2
-"""Of corrections: coarse grids with mean moduli are too stiff. Measured on foams, lattices and random blobs: up to a
-sixth fewer iterations, and none lost, from 1.1 to 1.3; at 1.4 some cycles are no longer positive definite."""
+"""Factor of coarse corrections: grids with mean moduli are too stiff. Measured on foams, lattices and random blobs: up
+to a sixth fewer iterations, and none lost, from 1.1 to 1.3; at 1.4 some cycles are no longer positive definite."""
 
 
 class Moduli(NamedTuple):
@@ -45,22 +45,22 @@ class Moduli(NamedTuple):
 
     @classmethod
     def of(cls, lam: NDArray[Any], mu: NDArray[Any]) -> Moduli:
-        """From arrays of both; their ratio is the same everywhere if it is up to rounding."""
+        """Create from arrays of both; a ratio that is uniform up to rounding is stored as one number."""
         place = np.unravel_index(np.argmax(mu), mu.shape)
         ratio = float(lam[place]) / float(mu[place]) if mu[place] > 0 else 0.0
-        slack = 4 * np.finfo(mu.dtype).eps
+        slack = 4 * np.finfo(mu.dtype).eps  # rounding of a division and a product, with a margin
         for k, m in zip(lam, mu, strict=True):
             if not (np.abs(k - mu.dtype.type(ratio) * m) <= slack * np.abs(k)).all():
                 return cls(mu, lam, 1.0)
         return cls(mu, None, ratio)
 
     def each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Moduli:
-        """What a linear map makes of them."""
+        """Apply a linear map to both."""
         return Moduli(change(self.mu), None if self.lam is None else change(self.lam), self.ratio)
 
     @property
     def lam_of(self) -> NDArray[Any]:
-        """The array that `ratio` belongs to: lambda, or mu in its place."""
+        """Array that `ratio` multiplies: lambda, or mu in its place."""
         return self.mu if self.lam is None else self.lam
 
 
@@ -72,9 +72,9 @@ def coefficients(
     Parameters
     ----------
     edges : (hx, hy, hz)
-        Of a voxel.
+        Edge lengths of a voxel.
     strain : (6,), optional
-        A constant strain xx, yy, zz, yz, xz, xy (engineering shear) that is added to that of the displacements.
+        Additional constant strain xx, yy, zz, yz, xz, xy (engineering shear).
     ratio : float
         Factor of the first Lamé constant.
     """
@@ -95,7 +95,7 @@ class ElasticLevel:
     ----------
     moduli : Moduli
     edges : (hx, hy, hz)
-        Of a voxel.
+        Edge lengths of a voxel.
     dtype : float32 or float64
     """
 
@@ -114,16 +114,16 @@ class ElasticLevel:
 
     @property
     def moduli(self) -> Moduli:
-        """Those it was made of, as views."""
+        """Moduli of the voxels, as views without padding."""
         nz, ny, nx = self.shape
         mu, lam = (values.reshape(nz, ny, -1)[:, :, HEAD : HEAD + nx] for values in (self.mu, self.lam))
         return Moduli(mu, None if self.lam is self.mu else lam, self.ratio)
 
     @property
     def diagonal(self) -> NDArray[Any]:
-        """Diagonal of the matrix, the mean of the components of a node, (nz ny nx,)."""
+        """Diagonal of the matrix, averaged over the components of a node, (nz ny nx,)."""
         moduli, dtype = self.moduli, self.c.dtype
-        # the mean over x, y, z of the diagonal of a brick: 16/9 for the weights 1, 1/3, 1/3, 1/9
+        # mean over x, y, z of the diagonal of a brick: 16/9 for the weights 1, 1/3, 1/3, 1/9
         factor = dtype.type(16 / 27 * float(self.c[:3].astype(np.float64) @ self.c[:3]))
         if moduli.lam is None:
             return node_sums(factor * dtype.type(self.ratio + 4) * moduli.mu).reshape(-1)
@@ -164,12 +164,12 @@ class ElasticLevel:
         constant_forces(self.weight, self.lam, self.mu, c, self.size, nothing, out, work.plane, work.rows)
 
     def strained_forces(self, strain: NDArray[np.float64], u: NDArray[Any], out: NDArray[Any], work: Workspace) -> None:
-        """Nodal forces of displacements and a constant strain (6,) together, written to `out`."""
+        """Nodal forces of displacements plus a constant strain (6,), written to `out`."""
         c = coefficients(self.edges, strain, self.ratio).astype(self.c.dtype)
         apply_stiffness(APPLY, u, u, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows)
 
     def energy_and_stress(self, strain: NDArray[np.float64], u: NDArray[Any]) -> tuple[float, NDArray[np.float64]]:
-        """Mean energy and mean stresses (6,) of displacements and a constant strain (6,) together."""
+        """Mean energy and mean stresses (6,) of displacements plus a constant strain (6,)."""
         dtype, out = self.c.dtype, np.empty(7)
         root = float(np.sqrt(np.prod(self.edges)))
         c = energy_coefficients(self.edges).astype(dtype)
@@ -181,7 +181,7 @@ class ElasticLevel:
         return float(out[0]) / root, out[1:]
 
     def bulk(self, expansion: NDArray[Any]) -> NDArray[Any]:
-        """Stress along each axis that holds voxels (nz, ny, nx) of some expansion back: three bulk moduli of it."""
+        """Stress along each axis that suppresses an expansion (nz, ny, nx): three bulk moduli times it."""
         moduli, dtype = self.moduli, self.c.dtype
         return np.asarray((3 * (dtype.type(self.ratio) * moduli.lam_of) + 2 * moduli.mu) * expansion.astype(dtype))
 
@@ -190,6 +190,7 @@ class ElasticLevel:
         volume = np.prod(self.edges)
         forces = out.reshape(3, *self.shape)
         for d in range(3):
+            # a node is pushed by the difference along d of the sums over the four voxels on either side
             around = stress
             for axis in range(3):
                 if axis != 2 - d:
@@ -197,52 +198,34 @@ class ElasticLevel:
             forces[d] = (np.roll(around, 1, 2 - d) - around) * out.dtype.type(volume / (4 * self.edges[d]))
 
     def rounding(self) -> float:
-        """Rounding error to expect in the forces of a homogeneous body."""
+        """Expected rounding error of the forces of a homogeneous body."""
         stiffest = float((self.c[24] * self.lam.max()) + 2 * self.mu.max())
         largest = float(np.abs(self.c[:3]).max()) * stiffest
         return 8 * float(np.finfo(self.c.dtype).eps) * largest * float(np.sqrt(np.prod(self.edges)))
 
 
 def safe_eigenvalue(moduli: Moduli, edges: tuple[float, float, float]) -> float:
-    """A bound of the eigenvalues of the stiffness over its diagonal: the largest of a single brick."""
+    """Upper bound of the eigenvalues of the stiffness over its diagonal: the largest of a single brick."""
     q = 1 / np.array(edges) ** 2
     if moduli.lam is None:
         ratios = [moduli.ratio]
     else:
         solid = moduli.mu > 0
-        between = moduli.lam[solid] / moduli.mu[solid]
+        between = moduli.lam[solid] / moduli.mu[solid]  # largest at one of the ends, see below
         ratios = [float(between.min()), float(between.max())]
     largest = 0.0
     for ratio in ratios:
-        # constant strains are the stiffest modes
+        # constant strains are the stiffest modes; `normal` grows with the ratio, `shear` falls over the diagonal
         normal, shear = max(0.0, ratio) * q.sum() + 2 * q.max(), np.sort(q)[1:].sum()
         largest = max(largest, 8 * max(normal, shear) / (16 / 27 * q.sum() * (ratio + 4)))
     return float(largest)
 
 
-def elastic_hierarchy(
-    lam: NDArray[Any], mu: NDArray[Any], edges: tuple[float, float, float], dtype: Any, *, safe: bool = False
-) -> Hierarchy:
-    """All grids of a periodic body.
-
-    Parameters
-    ----------
-    lam, mu : (nz, ny, nx)
-        Lamé constants of the voxels; both 0 in the void.
-    edges : (hx, hy, hz)
-    dtype : float32 or float64
-        Precision of all vectors.
-    safe : bool
-        Damp the smoother by a bound of the eigenvalues instead of an estimate.
-    """
-    return grids_of(ElasticLevel(Moduli.of(lam, mu), edges, dtype), safe=safe)
-
-
 def grids_of(finest: ElasticLevel, *, safe: bool = False) -> Hierarchy:
-    """The finest grid of a periodic body with all coarser ones.
+    """Build the hierarchy of a periodic body: its finest grid and all coarser ones.
 
-    Coarse grids have the mean Lamé constants of eight voxels. That is stiffer than Galerkin's
-    operator, but cheap, and conjugate gradients make up for it.
+    Coarse grids have the mean Lamé constants of eight voxels. That is stiffer than Galerkin's operator, but cheap, and
+    conjugate gradients compensate for it.
 
     Parameters
     ----------
@@ -254,9 +237,11 @@ def grids_of(finest: ElasticLevel, *, safe: bool = False) -> Hierarchy:
     bound = safe_eigenvalue(moduli, edges) if safe else 0.0
     widths = [np.ones(n) for n in finest.shape]
     while coarser(levels[-1].shape) is not None:
+        # an axis of one voxel can't be coarsened
         doubled = [h * (2 if n > 1 else 1) for h, n in zip(edges, levels[-1].shape[::-1], strict=True)]
         edges = (doubled[0], doubled[1], doubled[2])
         moduli, widths = moduli.each(coarsened), coarser_widths(widths)
+        # where the last coarse voxel of an axis covers one fine voxel instead of two, it is as much shorter and stiffer
         stiffer = shortness(widths).astype(moduli.mu.dtype)
         levels.append(ElasticLevel(moduli.each(lambda values: values * stiffer), edges, finest.c.dtype))  # noqa: B023
         if safe:

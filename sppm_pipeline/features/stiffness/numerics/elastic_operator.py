@@ -1,4 +1,4 @@
-"""One pass over a voxel grid with the stiffness of all trilinear bricks, without a matrix.
+"""Matrix-free product with the stiffness of a grid of trilinear bricks.
 
 Displacements live on the nodes of a periodic grid: node (i, j, k) is the low corner of voxel (i, j, k). In each voxel
 they are the eight products of (1, ξ)(1, η)(1, ζ), each with a coefficient for every component; these modes follow from
@@ -7,9 +7,9 @@ a mode is one monomial, monomials are orthogonal over a brick, and so full integ
 for constants, 1/3 for linear and 1/9 for bilinear terms. A brick costs 170 operations, a stored 24 x 24 matrix 1152.
 
 Bricks are taken row by row along x. Sums and differences along z and x of a line of nodes serve the rows of bricks on
-both of its sides, as do those of the forces; what is alive lies in a small scratch array whose rows have a constant
-distance, so that the compiler can tell that they never overlap and uses vector instructions throughout. Rows of the
-three components are taken in one loop: three calls of the kernels in `multigrid.rows` take 1.3 to 2.2 times as long.
+both of its sides, as do those of the forces; intermediate values lie in a small scratch array whose rows have a
+constant distance, so that the compiler can prove that they never overlap and uses vector instructions throughout. Rows
+of the three components share one loop: three calls of the kernels in `multigrid.rows` take 1.3 to 2.2 times as long.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FORCE = np.uint64(42 * STRIDE)
 
 @inline_jit
 def _first_line(s: NDArray[Any], width: Any) -> None:
-    """Modes along x of the first line; nothing is carried to it."""
+    """Compute the modes along x of the first line, and clear the carried forces."""
     zero = s.dtype.type(0)
     for e in range(_HEAD - _1, _HEAD + width):
         a, b = s[e], s[e + _1]
@@ -72,6 +72,7 @@ def _brick_row(
     gx3, gy3, gz3 = c[15], c[16], c[17]
     exx, eyy, ezz, eyz, exz, exy, factor = c[18], c[19], c[20], c[21], c[22], c[23], c[24]
     at -= _HEAD
+    # whole vectors: entries beyond the width are scratch that nothing reads
     for e in range(first, first + (width + _LANES - _1) // _LANES * _LANES):
         # along x: sum and difference of the sums (ss, sd) and of the differences (ds, dd) along z
         a, b = s[e], s[e + _1]
@@ -99,6 +100,7 @@ def _brick_row(
         z100, z110 = s[e + _R[15]] + zsd, zsd - s[e + _R[15]]
         z001, z011 = s[e + _R[16]] + zds, zds - s[e + _R[16]]
         z101, z111 = s[e + _R[17]] + zdd, zdd - s[e + _R[17]]
+        # keep the modes of this line for the next row of bricks
         s[e + _R[6]] = xss
         s[e + _R[7]] = xsd
         s[e + _R[8]] = xds
@@ -137,7 +139,7 @@ def _brick_row(
         x011, y101, z110 = gy * p + gz * q, gx * p + gz * t, gx * q + gy * t
         # bilinear terms
         x111, y111, z111 = (lx * k + mx * m) * x111, (ly * k + my * m) * y111, (lz * k + mz * m) * z111
-        # back along y
+        # back along y: rows 30-41 are complete, rows 18-29 wait for the next row of bricks
         s[e + _R[30]] = s[e + _R[18]] - x010
         s[e + _R[18]] = x010
         s[e + _R[31]] = s[e + _R[19]] + (x100 - x110)
@@ -174,18 +176,10 @@ def _gather_node(v: NDArray[Any], a: Any, b: Any, comp: Any, s: NDArray[Any], to
 
 @inline_jit
 def _gather_rows(v: NDArray[Any], a: Any, b: Any, comp: Any, n: Any, start: Any, width: Any, s: NDArray[Any]) -> None:
-    """Sum and difference of two rows of nodes, from ``start - 1`` to ``start + width``, to the first rows of scratch.
+    """Write sums and differences of two rows of nodes, ``start - 1`` to ``start + width``, to scratch rows 0-5.
 
-    Parameters
-    ----------
-    v : flat
-    a, b : uint64
-        Where the rows in the planes below and above begin.
-    comp : uint64
-        Distance of components.
-    n, start, width : uint64
-        Length of a row; the block.
-    s : flat
+    `a` and `b` are the offsets of the rows in the planes below and above, `comp` the distance of components, `n` the
+    length of a row; `start` and `width` define the block.
     """
     c = comp + comp
     low, high = a + start, b + start
@@ -197,6 +191,7 @@ def _gather_rows(v: NDArray[Any], a: Any, b: Any, comp: Any, n: Any, start: Any,
         s[to + _R[2]], s[to + _R[3]] = x + y, y - x
         x, y = v[p + c], v[q + c]
         s[to + _R[4]], s[to + _R[5]] = x + y, y - x
+    # the row is periodic
     before = start - _1 if start > 0 else n - _1
     _gather_node(v, a + before, b + before, comp, s, _HEAD - _1)
     after = start + width if start + width < n else start - start
@@ -205,16 +200,10 @@ def _gather_rows(v: NDArray[Any], a: Any, b: Any, comp: Any, n: Any, start: Any,
 
 @inline_jit
 def _scatter_rows(s: NDArray[Any], plane: NDArray[Any], at: Any, width: Any) -> None:
-    """From forces of bricks in modes of x and z (rows 30 to 41) to forces of nodes (rows 42 to 44).
+    """Convert forces of bricks in modes of x and z (rows 30 to 41) to forces of nodes (rows 42 to 44).
 
-    Parameters
-    ----------
-    s : flat
-    plane : flat
-        What the bricks below left for these nodes, components a stride apart; receives what the bricks leave for the
-        plane above.
-    at, width : uint64
-        Where the row of `plane` begins; the block.
+    `plane`, from `at` on, holds the contributions of the bricks below to these nodes, components a stride apart, and
+    receives those for the plane above.
     """
     for i in range(width):
         b = _HEAD + i
@@ -302,19 +291,18 @@ def sweep_plane(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> float:
-    """The bricks between two planes of nodes, and what the pass makes of the forces on the lower one.
+    """Visit the bricks between two planes of nodes, and evaluate the pass on the lower one.
 
     Parameters
     ----------
     mode, r, weight, lam, mu, c, shape, plane, s
         As `elastic_passes.apply_stiffness`.
     v : flat
-        Displacements; `vlow` and `vhigh` are where those of both planes begin, and `vcomp` is the distance of
-        components.
+        Displacements; `vlow` and `vhigh` are the offsets of both planes, `vcomp` the distance of components.
     low : uint64
         The lower plane.
     finish : bool
-        Whether the bricks below that plane have been visited; else nothing is written.
+        True if the bricks below that plane have been visited; else nothing is written.
     out : flat
         Receives the plane from `oat` on, components `ocomp` apart.
     """

@@ -1,8 +1,8 @@
-"""Passes of a multigrid cycle and of conjugate gradients over an elastic body; most keep what they need in planes.
+"""Passes of a multigrid cycle and of conjugate gradients over an elastic body.
 
-A smoothing step from zero is the residual times the weights, so that its displacements need no vector: they are made
-two planes at a time, right before the bricks between them are visited. Residuals are restricted plane by plane as they
-come, and corrections interpolated. A cycle then reads the residual twice and writes its result once.
+A smoothing step from zero is the residual times the weights, so that its displacements need no vector: they are
+computed two planes at a time, right before the bricks between them are visited. Residuals are restricted and
+corrections interpolated plane by plane, too. A cycle then reads the residual twice and writes its result once.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ def apply_stiffness(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> float:
-    """Forces ``f = K v`` of displacements, or what a solver needs of them.
+    """Compute forces ``f = K v`` of displacements, their residual, or a smoothing step.
 
     Parameters
     ----------
     mode : {APPLY, RESIDUAL, SMOOTH}
-        What `out` receives and what is returned: f and ``v . f``; or ``r - f`` and 0; or ``z = v + weight (r - f)``
-        and ``r . z``.
+        `out` and the returned value are f and ``v . f``; or ``r - f`` and 0; or ``z = v + weight (r - f)`` and
+        ``r . z``.
     v : (3, nz, ny, nx)
         Displacements.
     r : (3, nz, ny, nx)
@@ -62,7 +62,7 @@ def apply_stiffness(
     layer = np.uint64(shape[0]) * np.uint64(shape[1])
     comp = planes * layer
     total = 0.0
-    for t in range(planes + _1):
+    for t in range(planes + _1):  # bricks above the last plane come first and last: plane 0 needs their forces
         low, high = (t + planes - _1) % planes, t % planes
         total += sweep_plane(
             mode, v, low * layer, high * layer, comp, r, weight, lam, mu, c, shape, low, t > _0, out, low * layer,
@@ -95,7 +95,7 @@ def descend(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> None:
-    """The residual after a smoothing step from zero, restricted to the next coarser grid.
+    """Restrict the residual after a smoothing step from zero to the next coarser grid.
 
     Parameters
     ----------
@@ -105,9 +105,7 @@ def descend(
         Receives the residual.
     shapes, line
         As `transfer.restrict`, its scratch being `line`.
-    ring : (2, 3, ny, nx)
-        Scratch.
-    rest : (3, ny, nx)
+    ring, rest : (2, 3, ny, nx), (3, ny, nx)
         Scratch.
     """
     planes, layer = np.uint64(shape[2]), np.uint64(shape[0]) * np.uint64(shape[1])
@@ -139,7 +137,7 @@ def ascend(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> float:
-    """The smoothing step from zero, corrected by the coarser grid, and smoothed once more; returns ``r . out``.
+    """Smooth from zero, add the correction of the coarser grid, and smooth again; returns ``r . out``.
 
     Parameters are those of `descend`; `coarse` is the correction, and `out` receives the result.
     """
@@ -180,7 +178,7 @@ def turn_apply(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> float:
-    """The next direction ``p = z + beta p`` and its forces, which take the place of z; returns ``p . K p``.
+    """Compute the next direction ``p = z + beta p`` and its forces, which replace z; returns ``p . K p``.
 
     Other parameters are those of `apply_stiffness`.
     """
@@ -212,7 +210,7 @@ def constant_forces(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> None:
-    """Forces of the constant strain among the coefficients, with no displacements.
+    """Compute the forces of the constant strain in `c` without displacements.
 
     Parameters are those of `apply_stiffness`, and `nothing` is zeros for a plane, (3, ny, nx).
     """

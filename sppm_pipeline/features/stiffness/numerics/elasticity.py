@@ -1,4 +1,4 @@
-"""The effective stiffness of a periodic voxel cell, by six load cases."""
+"""Effective stiffness of a periodic voxel cell, from six load cases."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from sppm_pipeline.services.multigrid.solver import Solved, Stop, load_cases
 from sppm_pipeline.services.multigrid.vectors import dot, pack
 
 _FLOOR = 1e-6
-"""Stiffness over the mean of the voxels' stiffness below which no accuracy is requested ..."""
+"""Stiffness, over the mean of the voxels, below which no accuracy is requested: single precision has about six
+digits."""
 
 _NO_LOAD_PATH = 1e-9
-"""... and below which a direction has no load path."""
+"""Stiffness, over the mean of the voxels, below which a direction counts as having no load path."""
 
 _FIRST_ORDER = 0.01
 """Part of the tolerance with expansion, whose error is of first order in that of the displacements; measured on layers
 and random blobs, it then keeps to the tolerance, too, or to twice as much."""
 
 _NESTED = 3
-"""Iterations on each coarser grid, for a start from its solution."""
+"""Iterations on each coarser grid, whose solution is the start on the next one. Other numbers were not measured; each
+iteration on the first of them costs about an eighth of one on the finest grid."""
 
 
 class Homogenized(NamedTuple):
@@ -37,10 +39,10 @@ class Homogenized(NamedTuple):
     solved : tuple of 6 Solved
         Iterations, residual and error of each load case.
     precision : str
-        Of the final solution: double, if single precision was not enough.
+        Precision of the final solution: double, if single precision was not enough.
     expansion : (6,) float64 or None
-        Strain that a free cell takes on for each kelvin, engineering shear; NaN for strains without a load path. None
-        if no expansion was given.
+        Strain of a free cell per kelvin, engineering shear; NaN for strains without a load path. None if no expansion
+        was given.
     """
 
     stiffness: NDArray[np.float64]
@@ -72,19 +74,19 @@ def stiffness(
     lam, mu : (nz, ny, nx) float
         Lamé constants of the voxels; both 0 in the void, else ``mu > 0`` and ``3 lam + 2 mu > 0``.
     edges : (hx, hy, hz)
-        Of a voxel, in any unit.
+        Edge lengths of a voxel, in any unit.
     residual : float
-        A load case ends when its residual is this part of the right-hand side; 0 for never.
+        A load case ends when its relative residual is at most this; 0 for never.
     tolerance : float
-        ... or when the estimated error of the stiffness along its strain is this part of that stiffness; 0 for never.
+        ... or when the estimated relative error of the stiffness along its strain is; 0 for never.
     iterations : int
         ... or after so many iterations.
     precision : float32 or float64
-        Of the vectors; scalar products are always summed in double precision.
+        Precision of the vectors; scalar products are always summed in double precision.
     threads : int
         Load cases that are solved at the same time, each with memory of its own. The result does not depend on it.
     expansion : (nz, ny, nx) float, optional
-        Coefficients of thermal expansion of the voxels; what it is in the void does not matter.
+        Coefficients of thermal expansion of the voxels; ignored in the void.
 
     Raises
     ------
@@ -101,16 +103,16 @@ def stiffness(
 
 
 class ElasticBody(NamedTuple):
-    """A periodic cell in the form that is solved, so that nobody has to keep the arrays it was made of.
+    """Periodic cell in the form that is solved; the arrays of Lamé constants may be freed.
 
     Attributes
     ----------
     finest : ElasticLevel, or None
-        Its grid, Lamé constants being divided by `scale`; None if all of it is void.
+        Its grid, Lamé constants divided by `scale`; None if all of it is void.
     mean : (6, 6) float64
         Mean stiffness of the voxels, divided by `scale`.
     scale : float
-        The largest shear modulus, so that numbers are near 1, whatever the unit.
+        The largest shear modulus, so that numbers are near 1 in any unit.
     dtype : dtype
         Precision of the vectors.
     """
@@ -128,7 +130,7 @@ class ElasticBody(NamedTuple):
         edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
         precision: Any = np.float32,
     ) -> ElasticBody:
-        """From Lamé constants; parameters and errors as of `stiffness`."""
+        """Create from Lamé constants; parameters and errors as for `stiffness`."""
         dtype = np.dtype(precision)
         lam, mu = np.asarray(lam, dtype), np.asarray(mu, dtype)
         if lam.shape != mu.shape or lam.ndim != 3 or not lam.size:
@@ -171,19 +173,21 @@ class ElasticBody(NamedTuple):
 
         stop = Stop(residual, tolerance if expansion is None else _FIRST_ORDER * tolerance, iterations)
         matrix, solved, reached = load_cases(hierarchy, measure, mean, stop, _FLOOR, self.dtype, threads, _NESTED)
+        # what is left there is rounding
         void = np.diag(matrix) < _NO_LOAD_PATH * mean
         matrix[void] = 0
         matrix[:, void] = 0
         if expansion is None:
             return Homogenized(matrix * self.scale, solved, reached)
         held, heat = measures[0].held, measures[0].heat
+        # least squares, as what is left of the matrix may be singular
         strains = np.full(6, np.nan)
         strains[~void] = np.linalg.lstsq(held[np.ix_(~void, ~void)], heat[~void], rcond=1e-9)[0]
         return Homogenized(matrix * self.scale, solved, reached, strains)
 
 
 class MutualEnergies:
-    """Energies, mean stresses, and stresses of a held cell for a kelvin, of six load cases; see `solver.Measure`.
+    """Energies and mean stresses of six load cases, and thermal stresses of a clamped cell; see `solver.Measure`.
 
     With the total strain of case l its stresses have the mean s and the nodal forces f, which an exact solution would
     not have, and the mutual energy with case k is ``s[k] + u[k] . f / volume``, whatever the errors of both. As f is
@@ -204,27 +208,26 @@ class MutualEnergies:
         self.matrix = np.zeros((6, 6))
         #: mean stresses of the cases, a row for each
         self.held = np.zeros((6, 6))
-        #: In the load case of a strain the mean of ``strain : C : alpha`` over the cell is the stress that a held cell
-        #: answers a kelvin with (Rosen and Hashin 1970), and only the constant part of a brick's strain enters. By the
-        #: same linear functionals as mean stresses it keeps to the relations of Levin (1967) whatever the error of
-        #: the displacements.
+        #: In the load case of a strain the mean of ``strain : C : alpha`` over the cell is the stress of a clamped cell
+        #: per kelvin (Rosen and Hashin 1970), and only the constant part of a brick's strain enters. As it is the same
+        #: linear functional as a mean stress, the relations of Levin (1967) hold for any error of the displacements.
         self.heat = np.zeros(6)
         self.stress = None if expansion is None else level.bulk(expansion)
         if self.stress is not None:
-            # for a kelvin, the stress is alike along all axes
+            # the stress of an isotropic expansion is the same along all axes
             self.heat[:3] = self.stress.mean(dtype=np.float64)
 
     def target(self, case: int) -> None:
         """No solution is needed after its measurement."""
 
     def keep(self, case: int, u: NDArray[Any]) -> None:
-        """Round a solution to 16 bits; the last one is not needed."""
+        """Store a solution in 16 bits; the last one is not needed."""
         if case + 1 < len(self.kept):
             packed = np.empty(len(u), np.int16)
             self.kept[case] = packed, pack(u, packed)
 
     def record(self, case: int, u: NDArray[Any], spare: NDArray[Any], work: Workspace) -> None:
-        """Measure a solution beside those before it."""
+        """Compute the mutual energies of a solution with those before it."""
         level, strain = self.level, np.eye(6)[case]
         volume = level.weight.size * float(np.prod(level.edges))
         self.matrix[case, case], self.held[case] = level.energy_and_stress(strain, u)

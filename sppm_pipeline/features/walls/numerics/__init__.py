@@ -1,1 +1,1 @@
-"""Voronoi cells of pores, the distance to their faces, and tunnels as capsules: what walls are made of."""
+"""Voronoi cells of pores, distances from their faces, and tunnels as capsules."""

@@ -2,8 +2,8 @@
 
 A cell is kept in its dual form (as by Ray, Sokolov, Lefebvre and Lévy, "Meshless Voronoi on the GPU", ACM Transactions
 on Graphics 37, 2018): each corner is a triple of planes. Neighbors come nearest first, and the cell is finished when
-the next one lies more than twice as far as its farthest corner. Nothing is shared between cells, so any of them can be
-made alone, wherever all pores within twice the largest empty radius are known.
+the next one lies more than twice as far as its farthest corner. Cells are independent of each other: one needs only the
+pores within twice the largest empty radius.
 """
 
 from __future__ import annotations
@@ -18,26 +18,27 @@ from sppm_pipeline.services.jit.compiled import jit
 
 #: Planes of the box that a cell is cut from.
 BOX_PLANES = 6
-# A corner counts as cut off where it lies farther beyond a plane, as a share of the box; degenerate corners of
-# lattices stay as they are, and no face moves by more.
+# Distance beyond a plane, as a fraction of the box, from which on a corner is cut off: degenerate corners of lattices
+# stay, and no face moves by more. Some 5000 times double precision; not measured.
 _TOLERANCE = 1e-12
-# Planes and corners there is room for at first; cells of random pores have some 15 faces.
-_ROOM = 128
-# The search for neighbors begins so many mean spacings away, and goes on in shells that are wider by this factor.
-_FIRST_SHELL, _WIDER = 1.4, 1.4
+# Initial capacity in planes and corners, doubled on demand; cells of random pores have some 15 faces.
+_CAPACITY = 128
+# Radius of the first shell of the search for neighbors, in mean spacings, and growth of the next ones. Larger shells
+# sort more pores that do not cut the cell, smaller ones scan the list more often; not measured.
+_FIRST_SHELL, _SHELL_GROWTH = 1.4, 1.4
 
 
 class VoronoiCells(NamedTuple):
-    """Cells of some pores as sets of planes, relative to the pore: inside is ``n . (x - center) <= offset`` for all.
+    """Cells of some pores as sets of planes; inside is ``n . (x - center) <= offset`` for all.
 
     Attributes
     ----------
     centers : (n, 3) float64
         The pores.
     first : (n + 1,) int64
-        Where the planes of each cell begin.
+        Index of the first plane of each cell.
     planes : (m, 4) float64
-        Unit normal n and offset of each face that the cell has in common with another one.
+        Unit normal n and offset of each face that is shared with another cell.
     lower, upper : (n, 3) float64
         Boxes around the cells.
     """
@@ -50,17 +51,17 @@ class VoronoiCells(NamedTuple):
 
 
 def voronoi_cells(points: NDArray[np.float64], owners: NDArray[np.int64], empty: float) -> VoronoiCells:
-    """The Voronoi cells of some of many pores.
+    """Compute the Voronoi cells of some of many pores.
 
     Parameters
     ----------
     points : (n, 3) float64
-        Pores; all that lie within ``2 empty`` of an owner. Those at the same place count as one.
+        Pores, with all that lie within ``2 empty`` of an owner. Coincident ones count as one.
     owners : (k,) int64
-        The pores whose cells are wanted.
+        Pores whose cells are computed.
     empty : float
-        Bound on the distance of a point from its nearest pore. Cells end that far from their pore (along each axis),
-        which is no face, and pores more than twice as far apart have none in common.
+        Upper bound of the distance of a point from its nearest pore. Cells end that far from their pore along each
+        axis, which is no face, and pores more than twice as far apart share none.
 
     Returns
     -------
@@ -70,13 +71,13 @@ def voronoi_cells(points: NDArray[np.float64], owners: NDArray[np.int64], empty:
     order = np.argsort(points[:, 0], kind="stable")
     along_x = np.ascontiguousarray(points[order])
     spacing = _mean_spacing(points)
-    room = _ROOM
+    room = _CAPACITY
     while True:
         work = (
             np.empty((room, 4)), np.empty((room, 3)), np.empty((room, 3), np.int32), np.empty((room, 2), np.int32),
             np.empty(len(points)), np.empty(len(points), np.int64),
         )  # fmt: skip
-        planes = np.empty((len(owners) * 24 + room, 4))
+        planes = np.empty((len(owners) * 24 + room, 4))  # 15 faces on average; more memory follows on demand
         first = np.zeros(len(owners) + 1, np.int64)
         lower, upper = np.empty((len(owners), 3)), np.empty((len(owners), 3))
         while True:
@@ -92,7 +93,7 @@ def voronoi_cells(points: NDArray[np.float64], owners: NDArray[np.int64], empty:
 
 
 def _mean_spacing(points: NDArray[np.float64]) -> float:
-    """Cube root of the volume for each point."""
+    """Cube root of the volume per point."""
     extent = np.maximum(np.ptp(points, axis=0), 1e-6) if len(points) else np.ones(3)
     return float((extent.prod() / max(len(points), 1)) ** (1 / 3))
 
@@ -128,7 +129,7 @@ def _clip_all(
             found = _shell(points, cx, cy, cz, inner, outer, distance, near)
             reach = _farthest(corner, corners)
             for c in range(found):
-                if distance[c] > 4.0 * reach:
+                if distance[c] > 4.0 * reach:  # squares: its plane lies beyond the farthest corner
                     break
                 p = near[c]
                 length = math.sqrt(distance[c])
@@ -139,15 +140,17 @@ def _clip_all(
                 left = _cut(face, faces, corner, triple, rim, corners, _TOLERANCE * empty)
                 if left < 0:
                     return _MORE_ROOM
+                # keep the plane if it cut: where it left as many corners as before, the last one names it
                 if left != corners or triple[left - 1, 2] == faces:
                     corners = left
                     faces += 1
                     reach = _farthest(corner, corners)
             if outer >= 2.0 * empty or outer * outer >= 4.0 * reach:
                 break
-            inner, outer = outer, min(_WIDER * outer, 2.0 * empty)
+            inner, outer = outer, min(_SHELL_GROWTH * outer, 2.0 * empty)
         if total + faces > len(planes):
             return _MORE_PLANES
+        # later planes may have cut a face off entirely: those with a corner remain
         for f in range(BOX_PLANES, faces):
             for v in range(corners):
                 if triple[v, 0] == f or triple[v, 1] == f or triple[v, 2] == f:
@@ -166,7 +169,7 @@ def _clip_all(
 
 @jit
 def _box(face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], half: float) -> int:
-    """Write the box |x|, |y|, |z| <= half and return its number of corners; triples turn alike, seen from outside."""
+    """Write the box |x|, |y|, |z| <= half and return its number of corners; triples are oriented alike from outside."""
     for a in range(3):
         for side in range(2):
             f = 2 * a + side
@@ -212,7 +215,7 @@ def _shell(
         if dx > outer:
             break
         d = dx * dx + (points[p, 1] - cy) ** 2 + (points[p, 2] - cz) ** 2
-        if d <= inner * inner or d > outer * outer or d <= 1e-24:
+        if d <= inner * inner or d > outer * outer or d <= 1e-24:  # the pore itself, and those at its place
             continue
         i = found
         while i > 0 and distance[i - 1] > d:
@@ -235,10 +238,10 @@ def _cut(
     corners: int,
     tolerance: float,
 ) -> int:
-    """Cut a cell by the plane `new`; returns the number of its corners, -1 if there is no room for them."""
+    """Cut a cell by the plane `new`; returns the number of its corners, -1 if the arrays are too small."""
     nx, ny, nz, offset = face[new, 0], face[new, 1], face[new, 2], face[new, 3]
     kept = 0
-    # the corners that are cut off go to the end
+    # move the corners that are cut off to the end
     last = corners
     while kept < last:
         if corner[kept, 0] * nx + corner[kept, 1] * ny + corner[kept, 2] * nz - offset > tolerance:
@@ -250,7 +253,7 @@ def _cut(
             kept += 1
     if kept == corners:
         return corners
-    # edges between a corner that goes and one that stays
+    # edges between a removed corner and a remaining one: those between two removed ones come twice and cancel
     edges = 0
     for v in range(kept, corners):
         for side in range(3):
@@ -278,7 +281,7 @@ def _cut(
 
 @jit
 def _meet(face: NDArray[np.float64], a: int, b: int, c: int, out: NDArray[np.float64]) -> None:
-    """The point in three planes."""
+    """Intersect three planes in a point."""
     ux, uy, uz = face[a, 0], face[a, 1], face[a, 2]
     vx, vy, vz = face[b, 0], face[b, 1], face[b, 2]
     wx, wy, wz = face[c, 0], face[c, 1], face[c, 2]
