@@ -110,7 +110,7 @@ class HomogenizerContract(StageContract):
         """An image with different stiffness along its axes: a solid slab, and a bar through the rest."""
         solid = np.zeros((6, 6, 6), bool)
         solid[:, :, :3] = solid[2:4, :, :] = solid[:, 3:, 4:5] = True
-        return {self.port: Voxels.from_array(solid)}
+        return {self.port: Voxels.from_array(solid, periodic=True)}
 
     def test_a_stiffness_between_the_bounds(self) -> None:
         """Symmetric, without negative energies, between Voigt and Reuss."""
@@ -123,7 +123,7 @@ class HomogenizerContract(StageContract):
     def test_axes_may_be_renamed(self) -> None:
         """The stiffness of the turned image is the stiffness with its axes turned."""
         source = self.inputs()[self.port]
-        turned = Voxels.from_array(np.array(source.values).transpose(1, 2, 0) > 0)
+        turned = Voxels.from_array(np.array(source.values).transpose(1, 2, 0) > 0, periodic=True)
         normal = [1, 2, 0]
         order = [*normal, *(3 + i for i in normal)]  # yz, xz, xy are numbered by the axis that they lack
         for stage in self.stages():

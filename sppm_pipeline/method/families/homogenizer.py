@@ -129,26 +129,37 @@ def refined(
     context: Context,
     source: ScalarField | Voxels,
     counts: list[int],
-    solve: Callable[[int], Report],
+    solve: Callable[[int, ScalarField | Voxels], Report],
     values: Callable[[Report], NDArray[np.float64]],
     assumed: float = 2.0,
-) -> tuple[list[Report], Limit]:
-    """Reports of all grids of a refinement, and what their values tell of the limit of fine grids.
+) -> tuple[list[int], list[Report], Limit]:
+    """Voxels along an edge and report of each grid of a refinement, and the limit of fine grids extrapolated.
+
+    Grids of an image are made from blocks of its voxels, whatever the `counts`, and steps at surfaces make its errors
+    of first order.
 
     Raises
     ------
     ConfigError
-        If the source is an image, which has no other grids.
+        If the voxels of an image do not make blocks.
     """
-    if isinstance(source, Voxels):
-        raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
     from sppm_pipeline.services.elastic.convergence import richardson
 
+    sources: list[ScalarField | Voxels] = [source] * len(counts)
+    if isinstance(source, Voxels):
+        images, assumed = [source], 1.0
+        try:
+            while len(images) < len(counts):
+                images.insert(0, images[0].coarsened())
+        except ValueError as error:
+            raise ConfigError(str(error), hint="crop the image, or leave out `grids`") from None
+        sources, counts = list(images), [max(image.shape) for image in images]
     reports = []
-    for number, count in enumerate(counts):
-        reports.append(solve(count))
+    for number, (count, given) in enumerate(zip(counts, sources, strict=True)):
+        reports.append(solve(count, given))
         context.progress(number + 1, len(counts), "grids")
-    return reports, richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
+    limit = richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
+    return counts, reports, limit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +215,7 @@ class Homogenizer(Stage):
             if not all(source.periodic):
                 raise DesignError(
                     f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
-                    hint="declare it periodic where it is read, if opposite sides fit together",
+                    hint="where it is read, say `periodic: true` of a periodic cell and `mirror: true` of a scan",
                 )
             self._check_memory(context, source.shape, bytes_per_voxel)
             return source.shape, source.spacing
@@ -218,6 +229,11 @@ class Homogenizer(Stage):
         x, y, z = (self.resolution * cells for cells in source.cells)
         self._check_memory(context, (x, y, z), bytes_per_voxel)
         return (x, y, z), (1.0, 1.0, 1.0)
+
+    def check_image(self, context: Context, source: ScalarField | Voxels, *, void: bool = False) -> None:
+        """Warn if an image is no periodic cell, or if voxels do not resolve what carries: its solid, or its void."""
+        for doubt in source.doubts(void=void) if isinstance(source, Voxels) else ():
+            context.warn(doubt)
 
     def cell_of(self, context: Context, source: ScalarField | Voxels) -> VoxelCell:
         """Voxels of a periodic cell; errors as of `grid_of`."""

@@ -39,6 +39,17 @@ def test_two_values_are_void_and_solid(save):
     assert (read(save(values), invert=True)[0].values == (values == 0)).all()
 
 
+def test_mirror_images_make_a_cell_of_a_scan(save):
+    values = np.arange(24).reshape(2, 3, 4) % 2
+    made, _ = read(save(values), mirror=True)
+    assert made.periodic == (True,) * 3
+    assert made.shape == (4, 6, 8)
+    assert (made.values[:2, :3, :4] == values).all()
+    assert (made.values[2:, 3:, 4:] == values[::-1, ::-1, ::-1]).all()
+    with pytest.raises(ConfigError, match="`mirror`"):
+        ReadVoxels(path=save(values), mirror=True, periodic=True).check_options()
+
+
 def test_phases_keep_their_numbers(save):
     values = np.arange(24).reshape(2, 3, 4) % 3
     assert (read(save(values))[0].values == values).all()

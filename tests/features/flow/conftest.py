@@ -55,3 +55,12 @@ def gyroid():
         return wave + 0.4 * np.sin(t * (y + z)) + 0.3
 
     return field
+
+
+@pytest.fixture(scope="session")
+def blobs():
+    """A piece of random blobs, which is no periodic cell, as a scan is none."""
+    from scipy.ndimage import gaussian_filter
+
+    image = gaussian_filter(np.random.default_rng(0).standard_normal((64,) * 3), 2)[20:-20, 20:-20, 20:-20]
+    return image > np.quantile(image, 0.6)

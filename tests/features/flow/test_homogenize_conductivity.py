@@ -57,6 +57,19 @@ def test_the_void_around_it():
     assert report.porosity == pytest.approx(14 / 20)
 
 
+def test_a_scan_without_periodic_faces_is_named_and_mirrored(blobs):
+    context = PlainContext()
+    conducted(voxels(blobs), context)
+    assert any("opposite faces of the image do not fit along x" in text for text in context.warnings)
+    context = PlainContext()
+    mirrored = conducted(voxels(blobs).mirrored(), context, residual=1e-5)
+    assert not any("opposite faces" in text for text in context.warnings)
+    assert mirrored.k == pytest.approx(np.diag(np.diag(mirrored.k)), abs=1e-4 * mirrored.k.max())
+    # without a word, an array would be taken for a cell
+    with pytest.raises(DesignError, match="periodic"):
+        conducted(Voxels.from_array(blobs))
+
+
 def test_phases_of_the_solid():
     values = np.ones((4, 3, 3), np.uint8)
     values[2:] = 2

@@ -110,6 +110,28 @@ def test_a_cell_of_the_paper(cell, tmp_path):
     assert square[5:-5, 5:-5].mean() == pytest.approx(expected.mean(), abs=0.05)
 
 
+def test_an_image_has_an_error_bar_that_covers_finer_voxels(flow, gyroid):
+    def image(n):
+        x = (np.arange(n) + 0.5) / n
+        return voxels(gyroid(x[:, None, None], x[:, None], x) < 0, (1 / n,) * 3)
+
+    context = PlainContext()
+    report = solved(image(24), context, grids=2)
+    fine = solved(image(48)).k
+    assert (np.abs(report.k - fine) <= report.error + 1e-4 * fine[0, 0]).all()
+    assert report.error_relative < 0.5
+    assert context.reported["convergence"]["resolutions"] == [12, 24]
+
+
+def test_an_image_that_is_no_cell_is_named(blobs):
+    context = PlainContext()
+    solved(voxels(blobs), context)
+    assert any("opposite faces of the image do not fit along x" in text for text in context.warnings)
+    context = PlainContext()
+    solved(voxels(blobs).mirrored(), context)
+    assert not any("opposite faces" in text for text in context.warnings)
+
+
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("shape", [(1, 1, 8), (7, 20, 9), (33, 3, 8)])
 def test_slits_in_cells_of_any_shape(shape, axis):
@@ -124,11 +146,10 @@ def test_slits_in_cells_of_any_shape(shape, axis):
 
 
 def test_refusals():
-    image = voxels(slit())
-    with pytest.raises(ConfigError, match="one grid only"):
-        solved(image, grids=2)
+    with pytest.raises(ConfigError, match="4 x 5 x 8 voxels has no coarser one"):
+        solved(voxels(slit()), grids=2)
     with pytest.raises(ConfigError, match="no coarser grids"):
-        HomogenizePermeability(resolution=2, grids=3).run(PlainContext(), image)
+        HomogenizePermeability(resolution=2, grids=3).run(PlainContext(), voxels(slit()))
     with pytest.raises(DesignError, match="periodic"):
         solved(voxels(slit(), periodic=(True, False, True)))
     for shape in ((1, 1, 7), (4, 5, 6)):
@@ -141,7 +162,7 @@ def test_refusals():
         solved(voxels(plate))
     plate[:, 2] = 1
     assert solved(voxels(plate)).k[1, 1] == 0
-    report = solved(image)
+    report = solved(voxels(slit()))
     skew = PermeabilityReport(**{**vars(report), "k": report.k + np.eye(3)[[1, 0, 2]] * [1, 0, 0]})
     with pytest.raises(ValueError, match="symmetric"):
         skew.check()

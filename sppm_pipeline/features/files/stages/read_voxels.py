@@ -27,7 +27,7 @@ class ReadVoxels(Stage):
     path: Path = options.read_path(note="an image, or a folder of pictures")
     values: str = option(
         "auto",
-        help="what the values are: auto tells images of two values and of phases; threshold and otsu cut gray ones; "
+        help="what the values are: auto detects images of two values and of phases; threshold and otsu cut gray ones; "
         "fractions are solid fractions, 0 to 1 or over the full range of an integer type",
         choices=("auto", "phases", "fractions", "threshold", "otsu"),
     )
@@ -40,8 +40,18 @@ class ReadVoxels(Stage):
         None, note="what the file says if omitted, in mm, else the whole image is one cell", formerly="spacing"
     )
     periodic: bool = options.periodic(False, note="those of the image, which is a cell")
+    mirror: bool = option(
+        False,
+        help="append mirror images along x, y and z, which makes a periodic cell of a scan, of eight times as many "
+        "voxels; flow and load across the faces of the scan then are as between lubricated plates",
+    )
 
     def check_options(self) -> None:
+        if self.mirror and self.periodic:
+            raise ConfigError(
+                "`mirror` makes a periodic cell of an image that is none, and `periodic: true` says that it is one",
+                hint="leave out one of them",
+            )
         if (self.threshold is not None) != (self.values == "threshold"):
             raise ConfigError("`values: threshold` and a `threshold` belong together")
 
@@ -53,14 +63,16 @@ class ReadVoxels(Stage):
         values = image.values if self.axes == "xyz" or self.path.suffix != ".npy" else image.values.transpose(2, 1, 0)
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"{self.path.name} holds values that are not finite")
-        made = self._segmented(context, values)
+        segmented = self._segmented(context, values)
         if self.voxel is not None:
             spacing, physical = (self.voxel.mm(),) * 3, True
         elif image.spacing is not None:
             spacing, physical = image.spacing, True
         else:
             spacing, physical = (1.0 / values.shape[0],) * 3, False
-        voxels = Voxels(made, spacing, physical, (self.periodic,) * 3)
+        voxels = Voxels(segmented, spacing, physical, (self.periodic,) * 3)
+        if self.mirror:
+            voxels = voxels.mirrored()
         solid = voxels.solid()
         if not solid.any() or solid.all():
             context.warn(f"{self.path.name} is all {'solid' if solid.all() else 'void'}")

@@ -71,6 +71,7 @@ class HomogenizeConductivity(Homogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases."""
+        self.check_image(context, source, void=self.of == "void")
         from sppm_pipeline.features.flow.numerics.conduction import conductivity, tortuosity
         from sppm_pipeline.numerics import phase_report
 

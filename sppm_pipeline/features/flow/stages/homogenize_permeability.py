@@ -138,7 +138,7 @@ class HomogenizePermeability(FlowHomogenizer):
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
 
     grids: int = option(
-        1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3
+        1, help="grids for an error bar, of an image made of blocks of its voxels; 1 for none", minimum=1, maximum=3
     )
 
     def estimate(self, palette: Palette, source: Size) -> Size:
@@ -149,14 +149,14 @@ class HomogenizePermeability(FlowHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
         """Solve for three flows, on coarser grids first if an error bar is requested."""
+        self.check_image(context, source, void=True)
         if self.grids == 1:
             return self.flow_of(context, source)
-        counts = grids_below(self.resolution, self.grids)
-        reports, limit = refined(
+        counts, reports, limit = refined(
             context,
             source,
-            counts,
-            lambda count: replace(self, resolution=count).flow_of(context, source),
+            grids_below(self.resolution, self.grids),
+            lambda count, given: replace(self, resolution=count).flow_of(context, given),
             lambda report: report.k,
             ORDER,
         )

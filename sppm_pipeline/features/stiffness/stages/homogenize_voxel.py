@@ -187,7 +187,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
 
     grids: int = option(
-        1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3
+        1, help="grids for an error bar, of an image made of blocks of its voxels; 1 for none", minimum=1, maximum=3
     )
 
     expansion: float | tuple[float, ...] | None = option(
@@ -230,14 +230,14 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize, on coarser grids first if an error bar is requested."""
+        self.check_image(context, source)
         if self.grids == 1:
             return self.stiffness_of(context, source, self._expansions())
-        counts = self._resolutions()
-        reports, limit = refined(
+        counts, reports, limit = refined(
             context,
             source,
-            counts,
-            lambda count: replace(self, resolution=count).stiffness_of(context, source, self._expansions()),
+            self._resolutions(),
+            lambda count, given: replace(self, resolution=count).stiffness_of(context, given, self._expansions()),
             lambda report: report.stiffness,
         )
         context.report(
