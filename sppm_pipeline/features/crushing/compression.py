@@ -151,7 +151,7 @@ class CrushedBody(CompressionCurve):
     frame_nodes: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
     frame_alpha: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
-    @reports("voxels", "nodes", Number("frames", column=False), "plastic_strain_max")
+    @reports("voxels", "nodes", "frames.*", "plastic_strain_max")
     def _sizes(self) -> tuple[Any, ...]:
         return len(self.voxels), self.nodes, self.frame_strains.tolist(), float(self.frame_alpha.max())
 

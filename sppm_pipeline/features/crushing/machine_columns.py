@@ -40,6 +40,9 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """What machines call the columns, in lower case."""
 
+MAX_HEADING = 200
+"""Characters of a heading that are looked at."""
+
 _BRACKETS = re.compile(r"(?P<name>.*?)\s*[\[(（]\s*(?P<unit>[^\])）]*?)\s*[\])）]\s*")
 
 _BEHIND = re.compile(r"(?P<name>.*?)(?:\s*[/_,]\s*|\s+(?:in\s+)?)(?P<unit>\S+)\s*")
@@ -79,6 +82,8 @@ def columns_of(head: Sequence[Sequence[str]], width: int, delimiter: str, name: 
 
 def _split(heading: str) -> tuple[str, str]:
     """A heading in lower case with single blanks between its words, and the unit that it states."""
+    # no machine writes longer headings, and the patterns take quadratic time
+    heading = heading[:MAX_HEADING]
     match = _BRACKETS.fullmatch(heading) or _BEHIND.fullmatch(heading)
     if match and (match.re is _BRACKETS or match["unit"].casefold() in _KNOWN):
         heading, unit = match["name"], match["unit"]

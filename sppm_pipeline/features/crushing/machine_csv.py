@@ -28,7 +28,10 @@ HEAD = 2000
 _GROUPED = r"[1-9]\d{0,2}(?:[.,'’ \u00a0\u202f]\d{3})+(?:[.,]\d*)?"
 _NUMBER = re.compile(rf"[-+]?(?:{_GROUPED}|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?")
 _GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
-_WORDS = re.compile(r"\S+(?:[ \t]+[\[(（][^\])）]*[\])）])?")  # a unit in brackets belongs to the word before it
+# A unit in brackets belongs to the word before it. The bound keeps lines of open brackets from taking quadratic time.
+_WORDS = re.compile(r"\S+(?:[ \t]+[\[(（][^\[\](（）)]{0,40}[\])）])?")
+_OVERFLOW = re.compile(r"\*{2,}|#{2,}|[-+]?inf|ovl|over(?:flow|load|range)?", re.IGNORECASE)
+"""Cells that machines print where a reading exceeds its channel."""
 
 
 class Readings(NamedTuple):
@@ -190,6 +193,13 @@ def _cells(
             if place < head:
                 continue
             known = len(cells) > max(a, b) and _is_number(cells[a]) and _is_number(cells[b])
+            for column in columns if not known else ():
+                if column.number < len(cells) and _OVERFLOW.fullmatch(cells[column.number]):
+                    raise InputError(
+                        f"{name}: line {number} has {cells[column.number]!r} in column {column}: the reading was too "
+                        "large for the machine",
+                        hint="end the file before that line, or repeat the test with a larger range",
+                    )
             if any("\n" in cell for cell in cells):
                 raise InputError(f"{name}: a quotation mark in line {last + 1} is not closed")
             if not known:

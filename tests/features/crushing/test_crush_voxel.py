@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from sppm_pipeline.engine.plan.inputs import is_declared
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.crushing.compression import CrushedBody
 from sppm_pipeline.features.crushing.numerics.march import March
 from sppm_pipeline.features.crushing.stages.crush_voxel import CrushVoxel
 from sppm_pipeline.features.crushing.stages.measure_compression import measured
@@ -52,6 +54,12 @@ def test_axes_are_the_same_block_turned(axis, turn):
     n = "xyz".index(axis)
     heights = np.ptp(along.frame_nodes[..., n], axis=1)
     assert heights == pytest.approx(along.grid[n] * (1 - along.frame_strains), rel=1e-5)
+
+
+def test_strains_of_the_frames_are_declared_columns():
+    body = crushed(image(ells()), frames=(0.03, 0.05))
+    assert len(body.summary()["frames"]) > 2
+    assert is_declared("frames.3", frozenset(CrushedBody.reported))
 
 
 def test_the_body_lies_where_its_image_lies():

@@ -1,6 +1,8 @@
 """Files of test machines: what is found out and told, what is refused, and what is hostile."""
 
+import contextlib
 import math
+import time
 
 import numpy as np
 import pytest
@@ -142,3 +144,21 @@ def test_many_readings():
     assert len(read.load) == n
     assert read.way[-1] == pytest.approx(n / 1000 - 0.001)
     assert not math.isnan(read.load.sum())
+
+
+@pytest.mark.parametrize("mark", ["*****", "####", "OVL", "+inf", "Overflow"])
+@pytest.mark.parametrize("rows", [0, 2])
+def test_a_reading_beyond_the_range_of_the_machine_is_named(mark, rows):
+    table = "Force (N),Displacement (mm)\n0,0\n1,1\n2,2\n3,3\n" + f"{mark},4\n" + "4,5\n" * rows
+    with pytest.raises(InputError, match=r"line 6 has '.*' in column 'Force \(N\)': the reading was too large"):
+        read_readings(table.encode(), "a.csv")
+
+
+@pytest.mark.parametrize("text", ["(a ", "a (b ", "1.0, (2.0, ", "a in ", "( "])
+def test_hostile_lines_take_linear_time(text):
+    table = "Force (N)   Displacement (mm) " + text * 30_000 + "\n" + "1   2\n" * 5
+    start = time.process_time()
+    for delimited in (table, table.replace("   ", ";")):
+        with contextlib.suppress(InputError):
+            read_readings(delimited.encode(), "a.csv")
+    assert time.process_time() - start < 3

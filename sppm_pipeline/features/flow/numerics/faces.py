@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics import Grid
+from sppm_pipeline.numerics import Grid, solid_fractions
 
 _NEAREST = 0.05
 """Least distance between a face and a wall in edges of a voxel; nearer walls would only spoil the condition."""
@@ -76,10 +76,9 @@ def faces_of_field(sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[i
         levels.append(sample(Grid((x, y, z), (spacing,) * 3, shape)))
     edges = (1.0, 1.0, 1.0)
     surface = sum(_surface(level, d, edges) for d, level in enumerate(levels))
-    # counted, at three times as many points as there are voxels: planes through the samples would err ten times as much
-    # what lies on a wall counts half
-    porosity = float(np.mean([np.sign(level).mean(dtype=np.float64) for level in levels])) / 2 + 0.5
-    return _faces(levels, theta, edges, porosity, surface)
+    # by planes in eighths of voxels: counted points err by up to 0.6 % at 24^3 where walls repeat in step with the grid
+    solid = solid_fractions(lambda grid, start, stop: sample(grid.layers(start, stop)), shape, round(1 / spacing))
+    return _faces(levels, theta, edges, 1 - float(solid.mean(dtype=np.float64)), surface)
 
 
 def faces_of_fractions(solid: NDArray[Any], edges: tuple[float, float, float]) -> Faces:

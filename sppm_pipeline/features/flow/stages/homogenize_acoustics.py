@@ -33,7 +33,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.acoustics"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     reported: ClassVar[tuple[str, ...]] = ()
 
     depth: Length = option(Length(50.0), help="thickness of the layer on a rigid wall", unit="mm", above=0, maximum=1e5)
@@ -41,9 +41,9 @@ class HomogenizeAcoustics(FlowHomogenizer):
     temperature: float = option(20.0, help="of the air", unit="degrees Celsius", minimum=-50, maximum=200)
 
     def estimate(self, palette: Palette, source: Size) -> Size:
-        """Samples of faces, and twice the eight samples of a voxel that fractions take."""
+        """Samples of faces, and the eight samples of a voxel that fractions take, thrice."""
         size = self.solving(source, self.resolution)
-        return replace(size, samples=19 * size.samples, sums=19 * size.sums)
+        return replace(size, samples=27 * size.samples, sums=27 * size.sums)
 
     def run(self, context: Context, source: ScalarField) -> AcousticReport:
         """Solve for flow, torsion and conduction."""
