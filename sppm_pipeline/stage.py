@@ -297,6 +297,9 @@ class Stage(ABC):
         then end in stages that measure; None for what the recipe makes.
     maps : bool
         Whether it hands work to the workers of a run (`Context.map`), each of which then takes as much memory.
+    requires : mapping of port to (attribute, advice)
+        Attributes that the stage before a port must not have as False, as far as it has them, and what to write there;
+        an error before any work starts.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -308,6 +311,7 @@ class Stage(ABC):
     reported: ClassVar[tuple[str, ...] | None] = None
     returns: ClassVar[type | None] = None
     maps: ClassVar[bool] = False
+    requires: ClassVar[Mapping[str, tuple[str, str]]] = {}
     advice: ClassVar[str] = ""
 
     @abstractmethod

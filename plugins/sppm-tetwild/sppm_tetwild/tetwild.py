@@ -61,6 +61,11 @@ class TetWild(Stage):
     )
     time_limit: float = options.time_limit(1800.0)
 
+    @property
+    def periodic_box(self) -> bool:
+        """Whether the mesh has the box of a cell, which `homogenize.tet` requires."""
+        return self.cell is not None
+
     def run(self, context: Context, mesh: SurfaceMesh) -> VolumeMesh:
         """Fill the surface, check volume and orientation, report the quality."""
         from sppm_pipeline import run_native

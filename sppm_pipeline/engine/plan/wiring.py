@@ -194,8 +194,22 @@ def wire(
             makes = signature.makes
         made[draft.entry.id] = makes
         if draft.stage is not None:
+            problems += _unmet(draft, inputs, steps)
             steps.append(Step(draft.entry, draft.stage, draft.owner, signature, inputs, handed, makes or ()))
     return Wired(tuple(steps), makes), problems
+
+
+def _unmet(draft: Draft, inputs: Mapping[str, str | None], steps: Sequence[Step]) -> Problems:
+    """An error for each port whose source, as it is configured, lacks what the stage requires."""
+    stages = {step.id: step.stage for step in steps}
+    return [
+        WiringError(
+            f"what {inputs[port]!r} makes has no {attribute.replace('_', ' ')}",
+            hint=advice, where=draft.entry.where, stage=draft.entry.address,
+        )
+        for port, (attribute, advice) in draft.cls.requires.items()
+        if getattr(stages.get(inputs.get(port) or ""), attribute, True) is False
+    ]  # fmt: skip
 
 
 def makes_kind(step: Step, kind: type) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+import sppm_pipeline as sppm
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.tetrahedra.stages.homogenize_tet import HomogenizeTet
 from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import IsosurfaceStuffing
@@ -148,3 +149,12 @@ def test_straight_tetrahedra_that_lock_are_told():
     assert not quiet.warnings
     assert any("tetrahedra lock" in text for text in told.warnings)
     assert stiff.stiffness[0, 0] > 1.5 * soft.stiffness[0, 0]
+
+
+def test_a_mesh_without_the_box_of_its_cell_is_refused_before_the_run(tmp_path):
+    (tmp_path / "a.vtu").write_text("")
+    read = sppm.step.read.volume_mesh(path=str(tmp_path / "a.vtu"))
+    with pytest.raises(sppm.ConfigError, match=r"'read.volume_mesh' makes has no periodic box") as caught:
+        sppm.Pipeline([read, sppm.step.homogenize.tet()]).check()
+    assert "`cell` to `mesh.tetwild`" in str(caught.value.hint)
+    sppm.Pipeline([{**read, "periodic": True}, sppm.step.homogenize.tet()]).check()

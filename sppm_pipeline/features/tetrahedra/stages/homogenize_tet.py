@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -33,6 +34,12 @@ class HomogenizeTet(Stage):
     name: ClassVar[str] = "homogenize.tet"
     version: ClassVar[int] = 3
     reported: ClassVar[tuple[str, ...]] = ()
+    requires: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "mesh": (
+            "periodic_box",
+            "the box of the cell must be known: give `cell` to `mesh.tetwild`, `periodic: true` to `read.volume_mesh`",
+        )
+    }
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
 
     young: float | tuple[float, ...] = options.young(1.0, note="or of each material of the mesh")

@@ -40,6 +40,11 @@ class ReadVolumeMesh(Stage):
         False, note="those of the bounding box of the mesh, which is a cell", formerly="cell"
     )
 
+    @property
+    def periodic_box(self) -> bool:
+        """Whether the mesh has the box of a cell; see `HomogenizeTet.requires`."""
+        return self.periodic
+
     def check_options(self) -> None:
         if self.path.suffix.lower() not in READERS:
             known = ", ".join(READERS)
