@@ -35,7 +35,9 @@ class ConductivityReport(Report):
     Attributes
     ----------
     k : (3, 3) float64
-        Mean flow over mean gradient, the unit of `bulk`.
+        Mean flow over mean gradient, the unit of `bulk`; of two grids of a field, their limit.
+    error : (3, 3) float64 or None
+        Error bar of `k`, from two grids.
     of : str
         The conducting phase, "solid" or "void", the other one insulating; or "both".
     bulk : tuple of float
@@ -62,7 +64,8 @@ class ConductivityReport(Report):
 
     headline: ClassVar[tuple[str, ...]] = ("k.1.1", "k.2.2", "k.3.3", "tortuosity", "porosity")
 
-    k: NDArray[np.float64] = field(metadata=number("#3.#3"))
+    k: NDArray[np.float64] = field(metadata=number("#3.#3", error="error"))
+    error: NDArray[np.float64] | None = field(default=None, metadata=number("#3.#3", optional=True), kw_only=True)
     tortuosity: tuple[float | None, ...] = field(metadata=number("#3"))
     of: str = field(metadata=TEXT)
     bulk: tuple[float, ...] = field(metadata=number("#6"))
@@ -80,6 +83,8 @@ class ConductivityReport(Report):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
+        if self.error is not None:
+            object.__setattr__(self, "error", frozen(np.asarray(self.error, np.float64)))
 
     def check(self) -> None:
         """A finite, symmetric matrix that is not negative, and a porosity between 0 and 1."""

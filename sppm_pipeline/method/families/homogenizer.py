@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -125,18 +125,31 @@ def grids_below(resolution: int, grids: int) -> list[int]:
     return counts
 
 
+class _Quiet:
+    """A context whose warnings go nowhere."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+    def warn(self, message: str) -> None:
+        """Drop a message."""
+
+
 def refined(
     context: Context,
     source: ScalarField | Voxels,
     counts: list[int],
-    solve: Callable[[int, ScalarField | Voxels], Report],
+    solve: Callable[[Context, int, ScalarField | Voxels], Report],
     values: Callable[[Report], NDArray[np.float64]],
     assumed: float = 2.0,
 ) -> tuple[list[int], list[Report], Limit]:
     """Voxels along an edge and report of each grid of a refinement, and the limit of fine grids extrapolated.
 
     Grids of an image are made from blocks of its voxels, whatever the `counts`, and steps at surfaces make its errors
-    of first order.
+    of first order. Warnings about coarse grids are dropped.
 
     Raises
     ------
@@ -156,7 +169,7 @@ def refined(
         sources, counts = list(images), [max(image.shape) for image in images]
     reports = []
     for number, (count, given) in enumerate(zip(counts, sources, strict=True)):
-        reports.append(solve(count, given))
+        reports.append(solve(context if count == counts[-1] else cast(Context, _Quiet(context)), count, given))
         context.progress(number + 1, len(counts), "grids")
     limit = richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
     return counts, reports, limit

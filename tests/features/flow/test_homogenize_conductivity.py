@@ -109,6 +109,21 @@ def test_a_cell_of_the_paper(cell, of):
     assert all(value > 1 for value in report.tortuosity)
 
 
+@pytest.mark.parametrize("more", [{"of": "solid"}, {"of": "void"}, {"of": "both", "bulk": 1.0, "fluid": 0.05}])
+def test_the_limit_of_two_grids_is_better_than_the_finer_and_within_its_error_bar(cell, more):
+    exact = np.trace(conducted(cell, resolution=72, **more).k)
+    alone = np.trace(conducted(cell, resolution=32, grids=1, **more).k)
+    limit = conducted(cell, resolution=32, **more)
+    assert np.trace(limit.k) == pytest.approx(exact, rel=0.03)
+    assert abs(np.trace(limit.k) - exact) < np.trace(limit.error)
+    assert more["of"] == "both" or abs(np.trace(limit.k) - exact) < 0.5 * abs(alone - exact)
+    summary = limit.summary()
+    assert np.shape(summary["error"]) == (3, 3)
+    binary = conducted(cell, resolution=32, fractions="binary", **more)
+    assert binary.k == pytest.approx(conducted(cell, resolution=32, fractions="binary", grids=1, **more).k, rel=1e-6)
+    assert abs(np.trace(binary.k) - exact) < np.trace(binary.error)
+
+
 @dataclass(frozen=True, eq=False)
 class Wall(ScalarField):
     """A wall across a diagonal, or across x, or closed ones around the cell, which let nothing through."""

@@ -123,6 +123,20 @@ def test_an_image_has_an_error_bar_that_covers_finer_voxels(flow, gyroid):
     assert context.reported["convergence"]["resolutions"] == [12, 24]
 
 
+@pytest.mark.parametrize(("width", "warned"), [(4, True), (5, False)])
+def test_throats_of_few_whole_voxels_are_named(width, warned):
+    values = np.ones((12, 12, 12), np.uint8)
+    values[:, 1:9, 1:9] = 0
+    values[5:7] = 1
+    values[5:7, 2 : 2 + width, 2 : 2 + width] = 0
+    context = PlainContext()
+    solved(voxels(values), context, solver_tolerance=0.01)
+    assert any("along x has throats of less than 5 voxels" in text for text in context.warnings) == warned
+    context = PlainContext()
+    solved(voxels(values.astype(np.float32)), context, solver_tolerance=0.01)
+    assert not any("throats" in text for text in context.warnings)
+
+
 def test_an_image_that_is_no_cell_is_named(blobs):
     context = PlainContext()
     solved(voxels(blobs), context)

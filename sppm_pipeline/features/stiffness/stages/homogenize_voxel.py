@@ -237,7 +237,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
             context,
             source,
             self._resolutions(),
-            lambda count, given: replace(self, resolution=count).stiffness_of(context, given, self._expansions()),
+            lambda on, count, given: replace(self, resolution=count).stiffness_of(on, given, self._expansions()),
             lambda report: report.stiffness,
         )
         context.report(
