@@ -64,7 +64,7 @@ class CompressionCurve(Report):
         Number("unit", column=False), "area_mm2", "height_mm", "density_g_cm3", "energies.*",
     )  # fmt: skip
     def _extent(self) -> tuple[Any, ...]:
-        """Where the curve is from, how far it goes, the specimen, and the energies at its end."""
+        """Origin, extent, specimen, and energies at the end of the curve."""
         ends = float(self.strain.max()), float(self.stress.max())
         energies = {name: float(values[-1]) for name, values in self.energies.items()}
         specimen = self.area, self.height, self.density

@@ -38,7 +38,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "stress": ("stress", "compressive stress", "spannung", "druckspannung", "应力"),
     "strain": ("strain", "compressive strain", "stauchung", "dehnung", "应变"),
 }  # fmt: skip
-"""What machines call the columns, in lower case."""
+"""Names of the columns in files of machines, in lower case."""
 
 MAX_HEADING = 200
 """Characters of a heading that are looked at."""
@@ -150,14 +150,14 @@ def _named(table: Sequence[Column], wanted: str, name: str, there: str) -> Colum
 
 
 def _unit_of(unit: str, kind: str) -> float | None:
-    """How many of our units one is; letters of another case count where only one unit can be meant."""
+    """Factor from a unit to N, mm, MPa or strain; letters of another case count where only one unit can be meant."""
     units = UNITS[kind]
     alike = [factor for known, factor in units.items() if known.casefold() == unit.casefold()]
     return units.get(unit, alike[0] if len(alike) == 1 else None)
 
 
 def factor_of(unit: str, kind: str, column: Column, name: str) -> float:
-    """How many of our units one is; an error where the unit is unknown or missing."""
+    """Factor from a unit to N, mm, MPa or strain; an error where the unit is unknown or missing."""
     factor = _unit_of(unit, kind)
     if factor is None:
         raise InputError(

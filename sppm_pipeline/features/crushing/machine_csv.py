@@ -1,7 +1,7 @@
 """Readings of a test machine: text files with a column of force and one of displacement, as machines write them.
 
-Delimiter, decimal comma, encoding, block of text in front, names and units of columns are found out, and all of it is
-told. What can't be told for certain is refused, with the option that says it.
+Delimiter, decimal comma, encoding, block of text in front, names and units of columns are detected and reported. What
+is ambiguous is refused, with the option that decides it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from sppm_pipeline import InputError
 from sppm_pipeline.features.crushing.machine_columns import NAMES, Column, chosen, columns_of, factor_of
 
-LARGEST_FILE = 512 * 2**20
+MAX_BYTES = 512 * 2**20
 """Bytes; larger files are refused before they are read."""
 
-HEAD = 2000
+MAX_HEAD = 2000
 """Lines within which the table must begin."""
 
 
@@ -35,7 +35,7 @@ _OVERFLOW = re.compile(r"\*{2,}|#{2,}|[-+]?inf|ovl|over(?:flow|load|range)?", re
 
 
 class Readings(NamedTuple):
-    """What was read.
+    """Readings of a file.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Readings(NamedTuple):
         Millimeters of "displacement", or "strain".
     load_kind, way_kind : str
     notes : tuple of str
-        What was taken.
+        Format, columns and units that were detected.
     """
 
     load: NDArray[np.float64]
@@ -142,7 +142,7 @@ def _is_number(cell: str) -> bool:
 
 def _delimiter(text: str, name: str) -> str:
     """The one by which most lines of the beginning fall into numbers, two or more in each."""
-    start = "".join(line for line, _ in zip(io.StringIO(text, newline=None), range(HEAD), strict=False))
+    start = "".join(line for line, _ in zip(io.StringIO(text, newline=None), range(MAX_HEAD), strict=False))
     best, most = "", 0.0
     for delimiter in ("\t", ";", ",", " "):
         score = 0.0
@@ -152,7 +152,7 @@ def _delimiter(text: str, name: str) -> str:
                 numbers = sum(map(_is_number, filled))
                 score += numbers / len(filled) if numbers > 1 else 0.0
         except csv.Error:
-            pass  # what comes before counts; the line is met again, and told, when the table is read
+            pass  # what comes before counts; the line is met again, and reported, when the table is read
         if score > most + 1e-9:
             best, most = delimiter, score
     if not best:
@@ -168,14 +168,14 @@ def _head(text: str, delimiter: str, name: str) -> tuple[list[list[str]], int]:
     rows: list[list[str]] = []
     numeric: list[bool] = []
     for number, cells in _rows(text, delimiter):
-        if number > HEAD:
+        if number > MAX_HEAD:
             break
         rows.append(cells)
         numeric.append(sum(map(_is_number, cells)) > 1)
         if len(rows) > 2 and all(numeric[-3:]) and len({len(row) for row in rows[-3:]}) == 1:
             return rows[:-3], len(cells)
-    if len(rows) > HEAD:
-        raise InputError(f"{name}: no table of numbers begins in the first {HEAD} lines")
+    if len(rows) > MAX_HEAD:
+        raise InputError(f"{name}: no table of numbers begins in the first {MAX_HEAD} lines")
     raise InputError(f"{name} has fewer than three readings", hint="a curve of compression has hundreds of them")
 
 

@@ -1,4 +1,4 @@
-"""The permeability of a cell, and what else its slow flow tells."""
+"""The permeability of a cell and further results of its slow flow."""
 
 from __future__ import annotations
 

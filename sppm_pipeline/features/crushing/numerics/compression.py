@@ -1,7 +1,7 @@
-"""What is found on a stress-strain curve of compression: first rise, plateau, unloading, densification.
+"""Measures of a stress-strain curve of compression: first rise, plateau, unloading, densification.
 
-Curves are taken as straight between their readings, and looked at in steps of .1 % strain; where a measure lies between
-two steps it is that of the straight line.
+Curves are taken as straight between their readings, and looked at in steps of 0.1 % strain; where a measure lies
+between two steps it is that of the straight line.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Steepest(NamedTuple):
 
 
 class Loading(NamedTuple):
-    """A curve in steps of .1 % strain from zero, without its loops of unloading.
+    """A curve in steps of 0.1 % strain from zero, without its loops of unloading.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ def loading_branch(strain: ArrayLike, stress: ArrayLike) -> tuple[Array, Array]:
 
 
 def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
-    """A curve in steps of .1 % strain; from no strain to its first reading it rises from no stress.
+    """A curve in steps of 0.1 % strain; from no strain to its first reading it rises from no stress.
 
     Raises
     ------
@@ -115,8 +115,8 @@ def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
 def first_maximum(curve: Loading, within: float) -> float | None:
     """Strain of the first maximum after which the stress falls by 2 %; None if there is none.
 
-    Maxima below half of the largest stress up to the strain `within` are passed over, as noise before contact, and
-    waves after it, are full of them; a choice.
+    Maxima below half of the largest stress up to the strain `within` are passed over, as noise before contact and waves
+    after it are full of them: a heuristic. A quarter would let waves through, and all of it hide a first maximum.
     """
     highest = np.maximum.accumulate(curve.stress)
     fallen = (curve.stress <= (1 - FALL) * highest) & (highest >= 0.5 * curve.highest_to(within))
@@ -190,8 +190,8 @@ def plateau_end(curve: Loading, plateau: float, beyond: float) -> float | None:
 def efficiency(curve: Loading, within: float) -> Array:
     """Work up to each strain over the stress there, (n,); NaN where there is no stress, and before it has risen.
 
-    It has where it first reaches half of its largest value up to the strain `within`, which is a choice: before that,
-    in the toe, the efficiency has no meaning.
+    It has where it first reaches half of its largest value up to the strain `within`: a heuristic, as in the toe before
+    that the efficiency has no meaning. Not sensitive: the largest efficiency lies far beyond.
     """
     start = int(np.argmax(curve.stress >= 0.5 * curve.highest_to(within)))
     known = (np.arange(len(curve.stress)) >= start) & (curve.stress > 0)
@@ -201,8 +201,8 @@ def efficiency(curve: Loading, within: float) -> Array:
 def densification(curve: Loading, within: float) -> tuple[float, float] | None:
     """Strain at which `efficiency` is largest, and the efficiency there; None if it still grows where the curve ends.
 
-    It must lie 1 % strain before the end, a choice. On a straight line the efficiency grows, or falls and then grows,
-    so that it is largest at a step.
+    It must lie 1 % strain before the end, so that noise of the last readings is no maximum: a heuristic. On a straight
+    line the efficiency grows, or falls and then grows, so that it is largest at a step.
     """
     eta = efficiency(curve, within)
     if np.isnan(eta).all():
@@ -227,7 +227,7 @@ def work_ratio(energy: float, stress: float, area: float, displacement: float) -
 
 
 def mean_and_spread(curves: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[Array, Array, Array]:
-    """Strains in steps of .1 %, mean stress of several specimens and its sample standard deviation, to the shortest.
+    """Strains in steps of 0.1 %, mean stress of several specimens and its sample standard deviation, to the shortest.
 
     Parameters
     ----------

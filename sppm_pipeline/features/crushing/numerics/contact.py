@@ -22,7 +22,7 @@ REACH = 1.06
 """Distance of balls that are listed as candidates."""
 
 SLACK = 0.22
-"""How far nodes may move before candidates are searched again; less than half of what lies between diameter and reach,
+"""Largest way of a node before candidates are searched again; less than half of what lies between diameter and reach,
 by a share for the compression that all distances undergo meanwhile."""
 
 STIFFNESS, STABLE = 0.25, 0.09
@@ -30,7 +30,7 @@ STIFFNESS, STABLE = 0.25, 0.09
 
 HARDENING = 4.0
 """Share of the cubic term of the repulsion. Balls of opposite surfaces can slip between each other when their pressure
-is beyond .3 of Young's modulus."""
+is beyond 0.3 of Young's modulus."""
 
 DAMPING, DRAG = 0.05, 0.02
 """Share of critical damping along the line of centers, and of the momentum that friction may take in a step. Half as
@@ -61,7 +61,7 @@ def place(
     x: NDArray[Any], v: NDArray[Any], dt: float, corners: NDArray[Any], active: NDArray[Any], first: int, last: int,
     balls: NDArray[Any],
 ) -> None:  # fmt: skip
-    """Where the balls of active voxels were a time `dt` ago.
+    """Positions of the balls of active voxels a time `dt` ago.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Blank(NamedTuple):
-    """How far a machine gives way without a specimen.
+    """Deflection of a machine without a specimen.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ def after_preload(force: ArrayLike, displacement: ArrayLike, preload: float) -> 
 def without_toe(strain: ArrayLike, stress: ArrayLike, within: float = 0.2) -> tuple[Array, Array, Steepest]:
     """A curve whose strain is zero where the line through its steepest window has no stress.
 
-    The readings before the window, where specimen and plates settle, give way to that line (annex of ASTM D695, ASTM
-    D1621, ISO 844). The window is looked for before the first maximum, or up to the strain `within`.
+    The readings before the window, where specimen and plates settle, are replaced by that line (annex of ASTM D695,
+    ASTM D1621, ISO 844). The window is looked for before the first maximum, or up to the strain `within`.
 
     Returns
     -------

@@ -56,7 +56,7 @@ class Measure(NamedTuple):
 
 
 class Specimen(NamedTuple):
-    """What was compressed.
+    """The compressed specimen.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ def measures(
     Raises
     ------
     ValueError
-        If the curve is shorter than .3 % strain, or its stress is nowhere positive.
+        If the curve is shorter than 0.3 % strain, or its stress is nowhere positive.
     """
     curve = compression.loading(strain, stress)
     if not curve.stress.max() > 0:
@@ -156,7 +156,7 @@ def _plateau(table: Table, specimen: Specimen, low: float, high: float) -> tuple
     curve, short = table.curve, table.ends_before(high)
     within = (curve.strain >= low - 1e-9) & (curve.strain <= high + 1e-9)
     mean = None if short else float(curve.stress[within].mean())
-    words = f"mean of the stress at .1 % steps from {percent(low)} to {percent(high)} strain"
+    words = f"mean of the stress at 0.1 % steps from {percent(low)} to {percent(high)} strain"
     table.add("plateau_stress", "plateau stress", mean, specimen.stress_unit, words, _METALS, short)
     end = None if mean is None else compression.plateau_end(curve, mean, low)
     words = (

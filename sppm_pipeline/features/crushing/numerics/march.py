@@ -29,18 +29,18 @@ they need. They keep it: what trembles would be light again whenever its stiffne
 
 SLOW, SLOW_TO, FULL_FROM = 0.25, 0.02, 0.06
 """Share of the plate's speed up to a strain, and the strain from which it is full. A body that is set in motion
-uniformly resists too much until waves have crossed it a few times; so slowly, that is over within a strain of .006 at
-the default rate (a gyroid of 32 voxels, beside a tenth of the rate), and .02 without."""
+uniformly resists too much until waves have crossed it a few times; so slowly, that is over within a strain of 0.006 at
+the default rate (a gyroid of 32 voxels, beside a tenth of the rate), and 0.02 without."""
 
 _SHARES = 2
 """Shares of the work for each thread: where one is held up, another takes over. More cost more than they gain."""
 
 POINTS = 600
-"""Points of a curve to 60 % strain: one for each .1 %."""
+"""Points of a curve to 60 % strain: one for each 0.1 %."""
 
 MISSING = 0.01
-"""Records before the body came apart count from the last one back at which the share of work that is missing from the
-balance of energy changed by no more than this; a choice."""
+"""Before a failure, records count up to the last one at which the fraction of work that is missing from the balance of
+energy changed by no more than this: a heuristic. Failing elements add energy faster by orders of magnitude."""
 
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 
@@ -49,7 +49,7 @@ _ARRAYS = ("v", "f", "state", "mass", "heavier", "sums", "node_sums")
 
 
 class Failed(ArithmeticError):
-    """The body came apart; what was recorded holds up to `strain`."""
+    """Elements inverted or forces diverged; what was recorded holds up to `strain`."""
 
     def __init__(self, strain: float, why: str) -> None:
         super().__init__(f"{why} beyond a strain of {strain:.3g}")
@@ -58,7 +58,7 @@ class Failed(ArithmeticError):
 
 
 class Load(NamedTuple):
-    """How a body is compressed.
+    """Load on a body.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Load(NamedTuple):
 
 
 class History(NamedTuple):
-    """What was recorded, in units of voxel edges and of the first material.
+    """Records of a run, in units of voxel edges and of the first material.
 
     Attributes
     ----------
@@ -294,13 +294,14 @@ class March:
         self._rows.append(now)
         self._recorded = self.strain
 
-    def to(self, strain: float, told: Callable[[float], None] = lambda strain: None) -> None:
-        """Move on to a strain; `told` is called after each record.
+    def to(self, strain: float, report: Callable[[float], None] = lambda strain: None) -> None:
+        """Move on to a strain; `report` is called with it after each record.
 
         Raises
         ------
         Failed
-            If the body comes apart. What was recorded up to its strain holds: there, the energies still add up.
+            If elements invert or forces diverge. What was recorded up to its strain holds: there, the energies still
+            add up.
         """
         end = min(self.steps, int(np.searchsorted(self._strains, strain - 1e-9)))
         while self.step < end:
@@ -308,19 +309,19 @@ class March:
             try:
                 self._advance()
             except Failed as error:
-                # what comes apart makes energy, and does so for some steps before anybody can tell
+                # failing elements add energy for some steps before they are detected
                 missing = np.abs(np.diff([self._shares(row)["unbalanced"] for row in self._rows]))
                 while len(self._rows) > 1 and missing[len(self._rows) - 2] > MISSING:
                     self._rows.pop()
                 raise Failed(self._rows[-1][0], error.why) from None
             if len(self._rows) > records:
-                told(self.strain)
+                report(self.strain)
 
     def kept(self) -> dict[str, NDArray[np.float64]]:
         """All that another march of the same body needs to go on from here by `resume`, with the same result.
 
-        Contacts are searched anew, here and there, so that a march in which this is called differs in rounding from one
-        in which it is not.
+        Contacts are searched again, here and there, so that a march in which this is called differs in rounding from
+        one in which it is not.
         """
         self.relist()
         kept = {name: np.array(getattr(self, "_" + name)) for name in _ARRAYS}

@@ -64,7 +64,7 @@ class Material(NamedTuple):
 
 
 def constants(materials: tuple[Material, ...]) -> NDArray[np.float64]:
-    """What the kernels need of each material, in units of the first one's Young's modulus.
+    """Constants of each material for the kernels, in units of the first one's Young's modulus.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
         k20, k21, k22 = f01 * f12 - f02 * f11, f02 * f10 - f00 * f12, f00 * f11 - f01 * f10
         j = f00 * k00 + f01 * k01 + f02 * k02
         i = 1.0 / j
-        # J^-1/3 by Newton's method; exact to 1e-9 from J = .05 on
+        # J^-1/3 by Newton's method; exact to 1e-9 from J = 0.05 on
         r = (2.0 + j) / (1.0 + 2.0 * j)
         r *= (4.0 - j * r * r * r) * (1 / 3)
         r *= (4.0 - j * r * r * r) * (1 / 3)
@@ -145,7 +145,7 @@ def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
         limit, hardening = s[e + _YIELD], s[e + _HARDENING]
         # what plastic flow takes off the stress: the trace of n b n for the direction n = s / |s|. With that of b / 3,
         # as in box 9.1, the equivalent plastic strain of a cube at 60 % lags the logarithmic one so far that the stress
-        # is 2.6 % low; so it is .2 %
+        # is 2.6 % low; so it is 0.2 %
         odd = s0 * (s1 * s2 - s3 * s3) - s5 * (s5 * s2 - s3 * s4) + s4 * (s5 * s3 - s1 * s4)
         shear = mu * mean + 3.0 * odd / (size * size + 1e-300)
         flow = max(size - _ROOT * limit, 0.0) / (2.0 * shear + hardening * (2 / 3))

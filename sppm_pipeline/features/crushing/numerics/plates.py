@@ -47,7 +47,7 @@ def move(
     x, v, f : (nodes, 3) float64
         Positions, velocities half a step before, forces.
     mass, own : (nodes,) float64
-        With and without what was added; damping goes with the latter.
+        With and without what was added; damping is proportional to the latter.
     held : (nodes,) uint8
     listed : (nodes, 3) float64
         Positions when contacts were last searched.

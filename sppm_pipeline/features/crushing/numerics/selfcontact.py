@@ -64,7 +64,7 @@ class SelfContact:
 
     @property
     def lost(self) -> float:
-        """What damping and friction of contacts have taken."""
+        """Energy lost to damping and friction of contacts."""
         return self._was_lost + float(self._sums[:, 1].sum())
 
     @lost.setter

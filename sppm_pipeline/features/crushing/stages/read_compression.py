@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, Headline, InputError, Length, Palette, Size, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.machine_columns import UNITS
-from sppm_pipeline.features.crushing.machine_csv import LARGEST_FILE, Readings, read_readings
+from sppm_pipeline.features.crushing.machine_csv import MAX_BYTES, Readings, read_readings
 
 BACK = 0.01
 """Share of the height by which the displacement may go back before it counts as unloading."""
@@ -25,8 +25,8 @@ class ReadCompression(Stage):
     """Read force and displacement of a compression test from a text file, as test machines write them.
 
     Delimiter, decimal comma, encoding, the block of text in front, headings in English, German and Chinese, and units
-    in headings or below them are found out; what was taken is told. Files of stress and strain are read, too. Where
-    something can't be told for certain, the stage asks for the option that says it. Compression becomes positive.
+    in headings or below them are detected and reported. Files of stress and strain are read, too. Where something is
+    ambiguous, the stage asks for the option that decides it. Compression becomes positive.
     Corrections are made only if asked for: first `compliance`, then `preload`, then `toe`.
     """
 
@@ -57,7 +57,7 @@ class ReadCompression(Stage):
     units: tuple[str, ...] = option((), help="units of force and displacement; those of the file if empty")
     decimal: str = option("auto", help="decimal mark", choices=("auto", "point", "comma"))
     compliance: float | Path | None = option(
-        None, help="what the machine gives way: mm/kN, or a file of a run without a specimen", minimum=0, maximum=1e3
+        None, help="deflection of the machine: mm/kN, or a file of a run without a specimen", minimum=0, maximum=1e3
     )
     preload: float | None = option(
         None, help="force at which displacement is zero; as the file has it if omitted", unit="N", minimum=0,
@@ -113,11 +113,11 @@ class ReadCompression(Stage):
         )
 
     def _readings(self, path: Path) -> Readings:
-        """What the file holds, compression positive."""
+        """Readings of a file, compression positive."""
         from sppm_pipeline.features.crushing.numerics.correction import turned
         from sppm_pipeline.formats import content_of
 
-        data = content_of(path, LARGEST_FILE)
+        data = content_of(path, MAX_BYTES)
         read = read_readings(data, path.name, columns=self.columns, units=self.units, decimal=self.decimal)
         for values, what in ((read.load, read.load_kind), (read.way, read.way_kind)):
             if np.ptp(values) == 0:

@@ -11,7 +11,7 @@ from sppm_pipeline.features.crushing.crusher import Crusher
 
 @dataclass(frozen=True, kw_only=True)
 class TunePlateau(Crusher, Tuner):
-    """Find the block whose plateau stress is the target: the force at which packaging or a damper gives way.
+    """Find the block whose plateau stress is the target: the stress at which packaging or a damper yields.
 
     One option of the recipe is varied as by `tune.stiffness`, and each block is crushed as by `crush.voxel`, whose
     options it has. The plateau stress is the mean from 20 to 40 % strain. Start with few voxels and a fast plate.

@@ -30,7 +30,7 @@ class WriteCurves(Stage):
     Tests are drawn as lines, simulations dashed. Curves of one name and origin are specimens of one batch: their mean
     is drawn with a band of one sample standard deviation, up to the end of the shortest. The energy W is the area below
     the curve, the efficiency W over the stress; its largest value marks the densification strain. A table holds the
-    numbers in steps of .1 % strain. Charts are drawn by matplotlib: ``pip install 'sppm-pipeline[plot]'``.
+    numbers in steps of 0.1 % strain. Charts are drawn by matplotlib: ``pip install 'sppm-pipeline[plot]'``.
     """
 
     name: ClassVar[str] = "write.curves"

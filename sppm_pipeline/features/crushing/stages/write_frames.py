@@ -13,7 +13,7 @@ from sppm_pipeline import Context, Palette, Size, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CrushedBody
 
 PER_ROW = 6
-"""Frames in a row of the strip, a choice."""
+"""Frames in a row of the strip, for pages and slides."""
 
 HIGHEST = 99.0
 """Percentile of the plastic strain in the last frame at which the scale of colors ends: the few largest, at notches of

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class Gas(NamedTuple):
-    """What fills the pores.
+    """Gas in the pores.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ NRC_BANDS = (250, 500, 1000, 2000)
 """Bands whose mean is the noise reduction coefficient (ASTM C423)."""
 
 _INSIDE = 12
-"""Frequencies of a band whose absorption is averaged; a choice."""
+"""Frequencies of a band whose absorption is averaged: a heuristic, not sensitive, as curves are smooth in a band."""
 
 
 def third_octave(nominal: int) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
-"""Coarse grids for the pressure in channels: what is united in a coarse unknown hangs together within its block.
+"""Coarse grids for the pressure in channels: one unknown for each connected piece of a block.
 
 A block of 2 x 2 x 2 voxels may hold pieces of several channels. One unknown for all of them would let pressure pass
-where there is a wall, and a coarse grid of such blocks says nothing true about narrow channels. So a block has as many
+where there is a wall, and a coarse grid of such blocks is useless in narrow channels. So a block has as many
 unknowns as pieces, and coarse grids are graphs. From the voxels to the first graph values are constant in each piece,
 and half the sum of the weights joins two, as their distance is twice that of voxels. Below that, interpolation is
 smoothed (smoothed aggregation: Vanek, Mandel and Brezina 1996), which in channels of changing width, whose weights span
@@ -26,7 +26,7 @@ _SINGULAR = 1e-10
 
 _NARROW = 0.2
 """Share of voxels in the fluid below which graphs are visited twice in turn. Measured: that saves a third of the
-iterations at a porosity of .15, one of twenty at .2, where it costs as much as it saves, and above none."""
+iterations at a porosity of 0.15, one of twenty at 0.2, where it costs as much as it saves, and above none."""
 
 _DAMPING = 0.8
 """Of the Jacobi steps on voxels, whose bound is 1."""
@@ -219,7 +219,7 @@ def pieces_of_blocks(
     piece: NDArray[np.int32],
     block: NDArray[np.int64],
 ) -> int:
-    """Number the pieces of what hangs together within each block of 2 x 2 x 2 voxels; returns how many there are.
+    """Number the connected pieces within each block of 2 x 2 x 2 voxels; returns how many there are.
 
     Parameters
     ----------

@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 SLICES_OF_A_VOXEL = 2
-"""Slices of a throat for each voxel along it: a choice, as distances to a wall change little within half a voxel."""
+"""Slices of a throat for each voxel along it: a heuristic, not sensitive, as distances to a wall change little within
+half a voxel."""
 
 ROUNDING = 1e-9
 """Share of a throat within which two planes are crossed at once, in an edge of the cell, but for rounding."""
 
-LEAST_LENGTH = 0.01
-"""Throats between pores that overlap keep this share of their length, as programs divide by it. A choice."""
+MIN_LENGTH = 0.01
+"""Throats between pores that overlap keep this fraction of their length, as programs divide by it: a heuristic, which
+sets the resistance of no throat, as that follows from the radii along the whole axis."""
 
 
 class CutNetwork(NamedTuple):

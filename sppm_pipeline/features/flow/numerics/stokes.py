@@ -31,7 +31,7 @@ from sppm_pipeline.numerics import SolverStop as Stop
 
 _CONDUCTS = 0.35
 """Part of the torsion field that conducts pressure. Measured on cells of the paper, graphs and blobs of porosities from
-.15 to .7 at 32 and 48 voxels: up to two fifths fewer iterations than with all of it, and at most one more."""
+0.15 to 0.7 at 32 and 48 voxels: up to two fifths fewer iterations than with all of it, and at most one more."""
 
 _TORSION = Stop(0.0, 1e-4, 100)
 """When the torsion field is good enough, for the preconditioner and the thermal permeability."""
@@ -43,10 +43,10 @@ _SPAN, _SLOWEST = 6, 0.98
 """So many changes tell what is to come; the fall from one to the next that counts at most."""
 
 _SAFETY = 2.0
-"""Measured: at porosities of .1 and of .8 to .9 the estimate without it is at most 1.9 times too small."""
+"""Measured: at porosities of 0.1 and of 0.8 to 0.9 the estimate without it is at most 1.9 times too small."""
 
 _SINGLE = 1e-5
-"""Tolerances and residuals below this are beyond single precision; a cautious choice."""
+"""Tolerances and residuals below this are beyond single precision. A factor of two changes memory and speed only."""
 
 _CHUNK = 16384
 """Entries of vectors that are updated at once, so that they stay in the cache from one operation to the next."""
@@ -289,7 +289,7 @@ class _Problem:
             a0, a2, a3 = c * delta - c_before * s * gamma, s * delta + c_before * c * gamma, s_before * gamma
             gamma_before, direction = gamma, z[: 3 * n]
             before, v, q = v, q, before
-            # the next direction, but for its length a1, which the next gamma tells
+            # the next direction, but for its length a1, which the next gamma gives
             _combine(w_before, direction, 1.0, w, -a2, -a3)
             w, w_before = w_before, w
             self.precondition(v, z, work, own)

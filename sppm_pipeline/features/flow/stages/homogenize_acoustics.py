@@ -12,10 +12,12 @@ from sppm_pipeline.features.flow.acoustics import AcousticReport
 from sppm_pipeline.features.flow.stages.homogenize_permeability import FlowHomogenizer
 
 SHIFT = 0.5
-"""By how many voxels walls are moved either way to find the viscous length; a choice. The error is of second order."""
+"""Voxels by which walls are moved either way to find the viscous length: a heuristic. The error is of second order, so
+that half of it would lose only digits of the difference, and twice as much would quadruple the error."""
 
-SHARPER = 0.01
-"""Tolerance of the conductivities over that of the flow, as their difference counts; a choice."""
+TIGHTER = 0.01
+"""Tolerance of the conductivities over that of the flow: a heuristic, as the length is their difference, some percent
+of them. A factor of two changes it as the tolerance of the flow does the permeability."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +105,6 @@ class HomogenizeAcoustics(FlowHomogenizer):
             shift=shift,
         )
         options = self.solver_options(context.threads)
-        options["tolerance"] = max(1e-7, SHARPER * options["tolerance"])
+        options["tolerance"] = max(1e-7, TIGHTER * options["tolerance"])
         found = conductivity(1 - solid, **options)
         return float(found.conductivity[axis, axis]), 1 - float(solid.mean(dtype=np.float64))

@@ -209,6 +209,6 @@ class HomogenizeConductivity(Homogenizer):
 
 
 def _is_small(correction: NDArray[np.float64], k: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
-    """Whether a correction is small in all directions, and the one in which it is largest."""
+    """True if a correction is small in all directions; and the direction in which it is largest."""
     worst = min((np.linalg.eigh(MAX_CORRECTION * k + sign * correction) for sign in (1, -1)), key=lambda one: one[0][0])
     return bool(worst[0][0] >= -1e-6 * np.abs(k).max()), worst[1][:, 0]

@@ -97,8 +97,8 @@ def mortar(nodes: NDArray[np.float64], pair: FacePair) -> Any:
 def collocation(nodes: NDArray[np.float64], pair: FacePair) -> Any:
     """Constraints ``u_high(node) = u_low(there)`` for the nodes of the high face.
 
-    Makes cells .4 to .6 % softer than the mortar where meshes are coarse; kept for comparison. A node that lies beside
-    every triangle of the low face takes the nearest one within a tenth of its size, else it stays free.
+    Makes cells 0.4 to 0.6 % softer than the mortar where meshes are coarse; kept for comparison. A node that lies
+    beside every triangle of the low face takes the nearest one within a tenth of its size, else it stays free.
     """
     from scipy.sparse import coo_matrix
 

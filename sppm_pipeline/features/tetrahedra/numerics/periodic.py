@@ -14,7 +14,7 @@ TOLERANCE = 1e-6
 
 
 class FaceMatch(NamedTuple):
-    """How the triangles in opposite faces of a box fit; each is an array of three, for x, y and z.
+    """Agreement of the triangles in opposite faces of a box; each is an array of three, for x, y and z.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ def quality(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> Quality:
 
 
 def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], bins: int = 90) -> NDArray[np.int64]:
-    """How many dihedral angles lie in each of `bins` equal intervals from 0 to 180 degrees, (bins,).
+    """Number of dihedral angles in each of `bins` equal intervals from 0 to 180 degrees, (bins,).
 
     Raises
     ------

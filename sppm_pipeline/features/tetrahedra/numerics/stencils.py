@@ -79,7 +79,7 @@ def _cut_point(
 
 @jit
 def _ends_at(third: NDArray[np.int64], p: NDArray[np.int64], q: NDArray[np.int64]) -> bool:
-    """Whether the diagonal of the quadrilateral below `third` ends at the cut point from p, not at that from q."""
+    """True if the diagonal of the quadrilateral below `third` ends at the cut point from p, not at that from q."""
     longer, parity = int(np.int64(0)), int(np.int64(0))
     for axis in range(3):
         longer += (p[axis] - third[axis]) ** 2 - (q[axis] - third[axis]) ** 2
@@ -118,7 +118,7 @@ def _pillars(
     high: NDArray[np.int64],
     wins: NDArray[np.int64],
 ) -> None:
-    """What is left of a tetrahedron with two or three corners in the solid, as a prism: its three pillars.
+    """Solid part of a tetrahedron with two or three corners in the solid, as a prism: its three pillars.
 
     `wins` counts for each pillar the diagonals that end at its high end. A pyramid is a prism with a pillar of no
     length.

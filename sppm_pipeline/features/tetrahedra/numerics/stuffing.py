@@ -118,7 +118,7 @@ def require_room(nx: int, ny: int, nz: int) -> None:
 
 
 def _cut_positions(ends: NDArray[np.int32], fields: tuple[NDArray[np.float32], ...]) -> NDArray[np.float64]:
-    """Where the surface cuts each edge, by linear interpolation, as a fraction from the first end."""
+    """Cut of each edge with the surface, by linear interpolation, as a fraction from the first end."""
     (x0, y0, z0), (x1, y1, z1) = ends[:, 0].T, ends[:, 1].T
     solid_first = np.ones(len(ends), np.bool_)
     for field in fields:

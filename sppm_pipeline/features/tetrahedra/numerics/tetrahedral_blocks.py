@@ -168,7 +168,7 @@ def _leave(
     x: NDArray[np.float64],
     left: NDArray[np.float64],
 ) -> None:
-    """What a sweep from the first block to the last leaves: less what later blocks have taken from zero to `x`."""
+    """Residual after a sweep from the first block to the last: less what later blocks have taken from zero to `x`."""
     total = np.empty((3, CASES))
     for row in range(len(x) - 1, -1, -1):
         for i in range(3):

@@ -15,8 +15,9 @@ from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 
 MATCHED_TOLERANCE = 1e-6
 
-LOOSE = 1e-9
-"""Stiffness over the mean Young's modulus of the cell below which only rounding is left; a choice, as for voxels."""
+MIN_STIFFNESS = 1e-9
+"""Stiffness over the mean Young's modulus of the cell below which only rounding is left: a heuristic, as for voxels.
+Real structures lie orders of magnitude above, so that a factor of two changes nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +105,7 @@ class HomogenizeTet(Stage):
         if mesh.cells.shape[1] == 4 and (largest := float(np.max(poisson))) > LOCKING:
             context.warn(
                 f"with Poisson's ratio {largest:g} straight tetrahedra lock: the stiffness comes out too large, "
-                "at .4999 many times; mesh with `order: 2`"
+                "at 0.4999 many times; mesh with `order: 2`"
             )
         if max(found.residuals) > 100 * self.residual:
             raise DesignError(
@@ -127,12 +128,12 @@ class HomogenizeTet(Stage):
         )
 
     def _refuse_loose(self, mesh: VolumeMesh, stiffness: np.ndarray) -> None:
-        """An error if what was found is rounding; of faces that do not match nobody knows before what they join."""
+        """An error if the stiffness is rounding only: what unmatched faces join is unknown before."""
         assert mesh.box is not None
         phases = self._phases(mesh, float(np.prod(mesh.box[1] - mesh.box[0])))
         largest = float(np.abs(stiffness).max())
         mean = sum(fraction * young for fraction, young, _ in phases)
-        if largest <= LOOSE * mean or np.linalg.eigvalsh(stiffness)[0] < -1e-4 * largest:
+        if largest <= MIN_STIFFNESS * mean or np.linalg.eigvalsh(stiffness)[0] < -1e-4 * largest:
             raise self._loose(f"{mesh.name} carries no load: its solid does not run through the cell")
 
     @staticmethod

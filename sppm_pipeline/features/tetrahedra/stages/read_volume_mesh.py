@@ -42,7 +42,7 @@ class ReadVolumeMesh(Stage):
 
     @property
     def periodic_box(self) -> bool:
-        """Whether the mesh has the box of a cell; see `HomogenizeTet.requires`."""
+        """True if the mesh has the box of a cell; see `HomogenizeTet.requires`."""
         return self.periodic
 
     def check_options(self) -> None:

@@ -32,7 +32,7 @@ TUNNEL_SHARE, THICKNESS_SHARE, ROUNDING_SHARE = 0.1, 0.1, 0.07
 walls of a density of 0.3 are 3 to 4 % softer than those with this rounding, extrapolated alike."""
 
 
-WIDEST = 4.0
+MAX_LENGTH = 4.0
 """Cell sizes that no length of a wall exceeds."""
 
 FACES, ROUNDED = 20.0, 2.0
@@ -104,8 +104,10 @@ class WallsField(Stage):
         def given(name: str, share: float) -> float:
             value: Length | None = getattr(self, name)
             found = share * length if value is None else cell.fraction(value)
-            if value is not None and not found <= WIDEST:
-                raise ConfigError(f"option {name!r} is {value}, that is {found:.3g} cell sizes; allowed are {WIDEST:g}")
+            if value is not None and not found <= MAX_LENGTH:
+                raise ConfigError(
+                    f"option {name!r} is {value}, that is {found:.3g} cell sizes; allowed are {MAX_LENGTH:g}"
+                )
             return found
 
         half, radius = given("thickness", THICKNESS_SHARE) / 2, given("tunnel_radius", TUNNEL_SHARE)
