@@ -165,6 +165,7 @@ class Crusher(Stage):
                     raise
                 made = None
                 continue
+            # the rate of all but slender structures: one run is enough
             usual = self.rate is None and rate == USUAL and made.numbers["relative_density"] >= MIN_DENSITY
             change = _change(last, made) if last is not None else math.nan
             if change < MAX_CHANGE or (usual and is_quiet(made.numbers)):
@@ -212,6 +213,7 @@ class Crusher(Stage):
         from sppm_pipeline.features.crushing.numerics.body import body_of
         from sppm_pipeline.features.crushing.numerics.march import Load, March
 
+        # the march compresses along the first axis
         turned = np.ascontiguousarray(image.transpose(PERMUTED[self.axis]))
         used = np.flatnonzero(turned.any((1, 2)))
         first, last = int(used[0]), int(used[-1]) + 1

@@ -103,6 +103,7 @@ def read_readings(
 
 
 def _decoded(data: bytes) -> tuple[str, str]:
+    # a byte order mark decides; then zero bytes in every second place, which is UTF-16 of ASCII
     for mark, codec in ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
         if data.startswith(mark):
             return data[len(mark) :].decode(codec, "replace"), codec.upper()
@@ -114,6 +115,7 @@ def _decoded(data: bytes) -> tuple[str, str]:
         return data.decode("utf-8"), "UTF-8"
     except UnicodeDecodeError:
         pass
+    # GB18030 decodes nearly anything: it is taken only if a known Chinese heading comes out
     chinese = data.decode("gb18030", "replace")
     if any(
         name in chinese[:100_000] for names in NAMES.values() for name in names if not name.isascii() and name > "一"
@@ -172,6 +174,7 @@ def _head(text: str, delimiter: str, name: str) -> tuple[list[list[str]], int]:
             break
         rows.append(cells)
         numeric.append(sum(map(_is_number, cells)) > 1)
+        # one numeric row may be a date or a serial number in the text block; three of one width are the table
         if len(rows) > 2 and all(numeric[-3:]) and len({len(row) for row in rows[-3:]}) == 1:
             return rows[:-3], len(cells)
     if len(rows) > MAX_HEAD:

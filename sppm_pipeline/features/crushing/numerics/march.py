@@ -145,6 +145,7 @@ class March:
         # what changes
         self.x = body.nodes.astype(np.float64)
         self._v = np.zeros_like(self.x)
+        # an affine field: no shock runs through the body at the start
         self._v[:, 2] = -self._speed(0) * self.x[:, 2] / nz
         self._f = np.zeros_like(self.x)
         self._state = np.zeros((len(body.lanes), element.STATE, LANES))
@@ -214,6 +215,7 @@ class March:
         if float(self._node_sums[:, plates.MOVED].max()) > contact.SLACK**2:
             self.relist()
         self._forces()
+        # looking at stiffness costs a pass over the elements, which compress by less than a percent in so few steps
         if self.step % RESCALED == 0:
             self._rescale()
         if self.strain >= self._recorded + 0.6 / POINTS or self.step == self.steps:

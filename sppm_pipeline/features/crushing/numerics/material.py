@@ -148,6 +148,7 @@ def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
         # is 2.6 % low; so it is 0.2 %
         odd = s0 * (s1 * s2 - s3 * s3) - s5 * (s5 * s2 - s3 * s4) + s4 * (s5 * s3 - s1 * s4)
         shear = mu * mean + 3.0 * odd / (size * size + 1e-300)
+        # one step of the return map is exact for piecewise linear hardening, but for kinks within the step
         flow = max(size - _ROOT * limit, 0.0) / (2.0 * shear + hardening * (2 / 3))
         back = 1.0 - 2.0 * shear * flow / size
         s0, s1, s2, s3, s4, s5 = back * s0, back * s1, back * s2, back * s3, back * s4, back * s5
@@ -162,6 +163,7 @@ def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
         b0, b1, b2, b3, b4, b5 = q * b0, q * b1, q * b2, q * b3, q * b4, q * b5
         # what the return takes from the energy, at the final stress
         s[e + _DISSIPATED] = mu * (3.0 * mean - b0 - b1 - b2) * back / (1.0 + back)
+        # the slope of K/2 (J + 1/J - 2) times J: without bound as J falls to 0, and without a logarithm
         pressed = bulk * 0.5 * (j - i)
         s[e + _STORED] = mu * (0.5 * (b0 + b1 + b2) - 1.5) + bulk * 0.5 * (j + i - 2.0)
         # inverse of F: rows are columns of the cofactors

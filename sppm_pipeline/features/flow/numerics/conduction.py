@@ -107,6 +107,7 @@ def conductivity(
         return Conducted(np.zeros((3, 3)), (Solved(0, 0.0, 0.0, 0.0, True, True),) * 3, dtype.name)
     scale = float(k.max())
     k = k / dtype.type(scale)
+    # unit conductivity and longest edge 1: single precision has 7 digits, and stops depend on no unit
     longest = max(edges)
     edges = (edges[0] / longest, edges[1] / longest, edges[2] / longest)
     mean = np.full(3, float(k.mean(dtype=np.float64)))
@@ -117,6 +118,7 @@ def conductivity(
     matrix, solved, reached = load_cases(
         hierarchy, _Potentials, mean, Stop(residual, tolerance, iterations), _FLOOR, dtype, threads
     )
+    # an axis without a path leaves rounding only, which would make a tortuosity of it
     nothing = np.diag(matrix) < _NO_FLUX * mean
     matrix[nothing] = 0
     matrix[:, nothing] = 0

@@ -120,6 +120,7 @@ def _surface(level: NDArray[np.float32], d: int, edges: tuple[float, float, floa
     ``n_d^2`` sum to 1; so each crossing of a line counts ``|n_d|``, as the slopes on both sides of it have it.
     """
     slopes = [(np.roll(level, -1, 2 - axis) - np.roll(level, 1, 2 - axis)) / 2 for axis in range(3)]
+    # a line crosses the wall where the sign changes; the mean of both slopes is that at the wall to second order
     crossed = (level > 0) != (np.roll(level, -1, 2 - d) > 0)
     at_wall = [(slope[crossed] + np.roll(slope, -1, 2 - d)[crossed]) / np.float32(h)
                for slope, h in zip(slopes, edges, strict=True)]  # fmt: skip
@@ -148,6 +149,7 @@ def _faces(
         passed = here > 0
         drag, weight = np.zeros(here.size, np.float32), passed.ravel().astype(np.float32)
         beyond = [[np.roll(here, step, 2 - axis) for step in (1, -1)] for axis in range(3)]
+        # only faces beside a wall need distances: a thin layer, so arrays of indices are cheaper than whole grids
         near = np.flatnonzero(passed & ~np.all([there > 0 for pair in beyond for there in pair], axis=0))
         own = here.ravel()[near]
         ways = [[there.ravel()[near] for there in pair] for pair in beyond]
@@ -208,6 +210,7 @@ def percolating(faces: Faces) -> Percolation:
     nz, ny, nx = faces.active[0].shape
     # voxels and the faces between them on one grid, where neighbors are connected
     joined = np.zeros((2 * nz, 2 * ny, 2 * nx), np.uint8)
+    # even places along an axis are its faces, odd ones in all three are voxels
     odd = slice(1, None, 2)
     joined[odd, odd, odd] = faces.voxels()
     places = [tuple(slice(0, None, 2) if axis == d else odd for axis in (2, 1, 0)) for d in range(3)]

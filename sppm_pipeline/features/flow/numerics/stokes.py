@@ -129,6 +129,7 @@ def stokes_flow(
     if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
         dtype = np.dtype(np.float64)
     problem = _Problem(weights, edges, velocity, weighted, faces.active[0].shape)
+    # MINRES needs a definite preconditioner, which rounding may spoil in single precision
     for attempt in (dtype, np.dtype(np.float64)):
         fields, solved = problem.solve(wanted, stop, _FLOOR * thermal, attempt, threads)
         if all(case.definite for case in solved):
@@ -161,6 +162,7 @@ def _flow(
             continue
         u, case = by_axis[d]
         passing = u * weights
+        # Darcy: the mean velocity for a unit force along d is a row of the permeability
         k[d] = passing.reshape(3, -1).mean(axis=1, dtype=np.float64)
         viscous.append(porosity * dot(u, passing) / (u.size // 3) / k[d, d] ** 2)
         speed = _speed(passing.reshape(3, *shape))
@@ -170,6 +172,7 @@ def _flow(
     missing = [d for d in range(3) if d not in by_axis]
     k[:, missing] = 0
     return Flow(
+        # symmetric by the reciprocity of Stokes flow, up to the error of the solver
         (k + k.T) / 2 * unit,
         thermal * unit,
         tuple(viscous),
@@ -211,6 +214,7 @@ def _torsion_fields(velocity: list[Hierarchy], weights: NDArray[np.float32], thr
     def field(hierarchy: Hierarchy, weight: NDArray[np.float32]) -> NDArray[np.float32]:
         b, psi = weight.copy(), np.zeros_like(weight)
         solve(hierarchy, b, psi, np.empty_like(b), hierarchy.workspace(), _TORSION, 0.0, 1e-30)
+        # the exact field is positive; what the solver leaves below zero would make the pressure indefinite
         return np.maximum(psi, 0, out=psi)
 
     with ThreadPoolExecutor(threads) as pool:
@@ -264,6 +268,7 @@ class _Problem:
             part = slice(d * n, (d + 1) * n)
             out[part] = hierarchy.cycle(np.asarray(r[part], np.float32), work)[0]
         out[3 * n :] = self.pressure.cycle(np.asarray(r[3 * n :], np.float32), work, own)
+        # the 1 of `1 + (-div psi grad)^-1`: short waves of the pressure (Cahouet and Chabard 1988)
         out[3 * n :] += r[3 * n :]
 
     def _minres(self, axis: int, stop: Stop, floor: float, dtype: np.dtype[Any]) -> tuple[NDArray[Any], Solved]:
@@ -280,6 +285,7 @@ class _Problem:
         start = gamma = math.sqrt(dot(z, v))
         eta, gamma_before, c, c_before, s, s_before = gamma, 1.0, 1.0, 1.0, 0.0, 0.0
         k, error, changes = 0.0, math.inf, list[float]()
+        # below this, changes of k are rounding
         rounding = 4 * float(np.finfo(dtype).eps)
         for iteration in range(1, stop.iterations + 1):
             z *= dtype.type(1 / gamma)

@@ -74,6 +74,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
                 f"frequencies {tortuosity:.4g}",
                 hint="raise `resolution`, or `iterations` if the solver was stopped",
             )
+        # Lambda = 2 k / (dk / dxi), from k on both sides of the wall: the wall itself lies midway, so k is their mean
         length = (narrow + wide) * (2 * SHIFT / self.resolution) / (wide - narrow)
         return AcousticReport(
             axis=self.axis,

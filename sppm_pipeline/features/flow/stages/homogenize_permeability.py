@@ -130,6 +130,7 @@ def _narrow(void: Percolation) -> list[str]:
 
     voxels = void.faces.voxels()
     reach = MIN_THROAT // 2
+    # erosion by a ball: what is left is where its center may lie
     centers = voxels.copy()
     for x, y, z in np.ndindex((MIN_THROAT,) * 3):
         step = (x - reach, y - reach, z - reach)

@@ -110,6 +110,7 @@ def homogenize_tetrahedra(
     held = built.matrix if project is None else tied(built.matrix, joined)
     del built
     points, matrix = nodes[kept], Blocks(held)
+    # quadratic elements have a coarse problem at hand: the straight tetrahedra of their corners
     if cells.shape[1] == 4:
         precondition = aggregation(held, rigid_modes(points), matrix)
     else:
@@ -117,6 +118,7 @@ def homogenize_tetrahedra(
     del held
     found = conjugate_gradients(matrix, -loads.T, precondition, project, tolerance, iterations, progress)
     u = np.ascontiguousarray(found.values.T)
+    # energy of mean strain and fluctuation together: its error is that of the displacements squared
     forces = np.ascontiguousarray(matrix.product(found.values).T)
     work = np.einsum("in,jn->ij", u, loads)
     energy = mean + work + work.T + np.einsum("in,jn->ij", u, forces)

@@ -139,6 +139,7 @@ def _scatter(
                 i1, i2 = (i + 1) % 3, (i + 2) % 3
                 for j in range(3):
                     j1, j2 = (j + 1) % 3, (j + 2) % 3
+                    # cofactors: the inverse but for the determinant
                     inverse[j, i] = jacobian[i1, j1] * jacobian[i2, j2] - jacobian[i1, j2] * jacobian[i2, j1]
             det = jacobian[0, 0] * inverse[0, 0] + jacobian[0, 1] * inverse[1, 0] + jacobian[0, 2] * inverse[2, 0]
             smallest = min(smallest, det)
@@ -150,6 +151,7 @@ def _scatter(
                     for j in range(3):
                         value += reference[q, a, j] * inverse[j, i]
                     g[a, i] = value / det
+            # energy of a unit mean strain, Voigt order xx yy zz yz xz xy, engineering shear
             for i in range(3):
                 for j in range(3):
                     mean[i, j] += dv * lam
@@ -172,6 +174,7 @@ def _scatter(
                 loads[5, row, 1] += mu * gx
                 for b in range(width):
                     column = at[cell, b]
+                    # binary search in the sorted columns of the row
                     low, high = starts[row], starts[row + 1]
                     while low < high - 1:
                         half = (low + high) // 2

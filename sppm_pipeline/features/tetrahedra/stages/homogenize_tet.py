@@ -70,6 +70,7 @@ class HomogenizeTet(Stage):
                 f"{mesh.name} fills no periodic cell: its box is not known",
                 hint="mesh a cell, or give `periodic: true` to `read.volume_mesh`",
             )
+        # matched nodes are joined exactly, without constraints, which is faster and has no error of its own
         young, poisson = self._materials(mesh)
         stand_in = None
         if self.faces == "auto":
@@ -133,6 +134,7 @@ class HomogenizeTet(Stage):
         phases = self._phases(mesh, float(np.prod(mesh.box[1] - mesh.box[0])))
         largest = float(np.abs(stiffness).max())
         mean = sum(fraction * young for fraction, young, _ in phases)
+        # loose solid moves freely: its stiffness is zero, or indefinite by rounding
         if largest <= MIN_STIFFNESS * mean or np.linalg.eigvalsh(stiffness)[0] < -1e-4 * largest:
             raise self._loose(f"{mesh.name} carries no load: its solid does not run through the cell")
 
