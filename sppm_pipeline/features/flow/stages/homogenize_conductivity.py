@@ -197,7 +197,7 @@ class HomogenizeConductivity(Homogenizer):
         dtype = np.float32 if self.precision == "single" else np.float64
         if self.fluid is not None and cell.fraction is not None:
             # in series where the flow crosses the surface, beside each other where it follows it
-            solid, fraction = self._bulk()[0], cell.fraction.T.astype(dtype)
+            solid, fraction = self._bulk()[0], np.asarray(cell.fraction.T, np.float64)
             ratio = min(solid, self.fluid) / max(solid, self.fluid)
             beside = self.fluid + fraction * (solid - self.fluid)
             series = 1 / (fraction / solid + (1 - fraction) / self.fluid)

@@ -103,10 +103,10 @@ class WriteNetwork(Stage):
 
 def _columns(network: CutNetwork, sizes: Measured, meters: float) -> dict[str, NDArray[np.generic]]:
     """The arrays of the file, by the names that OpenPNM gives them."""
-    from sppm_pipeline.features.flow.numerics.pore_network import LEAST_LENGTH
+    from sppm_pipeline.features.flow.numerics.pore_network import MIN_LENGTH
 
     length = np.linalg.norm(network.vectors, axis=1)
-    outside = np.maximum(length - sizes.pore_radius[network.conns].sum(1), LEAST_LENGTH * length)
+    outside = np.maximum(length - sizes.pore_radius[network.conns].sum(1), MIN_LENGTH * length)
     sides = {
         f"pore.{axis}{side}": np.abs(network.coords[:, number] - place) < 1e-9
         for number, axis in enumerate("xyz")
