@@ -87,7 +87,7 @@ def test_what_states_its_own_summary_is_not_known():
          "viscous_tortuosity thermal_tortuosity hydraulic_tortuosity surface kozeny grid precision iterations "
          "residuals errors converged wraps warnings"),
         (ConductivityReport,
-         "k tortuosity of bulk fluid porosity grid fractions precision iterations residuals errors converged "
+         "k error tortuosity of bulk fluid porosity grid fractions precision iterations residuals errors converged "
          "wraps warnings"),
         (AcousticReport,
          "axis porosity resistivity permeability thermal_permeability tortuosity viscous_tortuosity "
