@@ -21,7 +21,7 @@ the voxels along an edge."""
 
 MAX_FACE_MISMATCH = 1.5
 """Mismatch of opposite faces over the largest of neighboring layers before a warning. On 50 images of such blobs from
-16 to 100 voxels wide, periodic ones had 0.1 to 1.5 and 98 % of the cropped ones 1.5 to 10 along at least one axis."""
+16 to 100 voxels wide, periodic ones had 0.1 to 1.5, and cropped ones 1.5 to 10 along nearly every axis."""
 
 
 @dataclass(frozen=True, eq=False)
