@@ -24,7 +24,8 @@ import numpy as np
 from scipy.ndimage import label
 
 from benchmarks.measure import pipeline_command, run, table
-from sppm_pipeline.features.grading.grading import Grading, TableLaw
+from sppm_pipeline.features.grading.laws import TableLaw
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
 from sppm_pipeline.features.grading.stages.tile_graded import GradedTiling
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity

@@ -20,10 +20,10 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.features.flow.conductivity import ConductivityReport as ConductivityReport
     from sppm_pipeline.features.flow.numerics.acoustics import PoreParameters as PoreParameters
     from sppm_pipeline.features.flow.permeability import PermeabilityReport as PermeabilityReport
-    from sppm_pipeline.features.grading.grading import CellFrame as CellFrame
-    from sppm_pipeline.features.grading.grading import Grading as Grading
-    from sppm_pipeline.features.grading.grading import Law as Law
-    from sppm_pipeline.features.grading.grading import Place as Place
+    from sppm_pipeline.features.grading.maps import CellFrame as CellFrame
+    from sppm_pipeline.features.grading.maps import Grading as Grading
+    from sppm_pipeline.features.grading.maps import Law as Law
+    from sppm_pipeline.features.grading.maps import Place as Place
     from sppm_pipeline.hookspecs import StageEvent as StageEvent
     from sppm_pipeline.method.families.cloud import Cloud as Cloud
     from sppm_pipeline.method.families.cloud import Piece as Piece
@@ -73,7 +73,7 @@ _PLACES = {
     "features.flow.conductivity": "ConductivityReport",
     "features.flow.numerics.acoustics": "PoreParameters",
     "features.flow.permeability": "PermeabilityReport",
-    "features.grading.grading": "CellFrame Grading Law Place",
+    "features.grading.maps": "CellFrame Grading Law Place",
     "hookspecs": "StageEvent",
     "method.families.cloud": "Cloud Piece",
     "method.families.homogenizer": "VoxelCell",

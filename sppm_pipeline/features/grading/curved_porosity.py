@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE
+from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.newton import LevelFit
 from sppm_pipeline.features.grading.warped import WarpedTiling
 from sppm_pipeline.features.grading.warped_field import WarpedField
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
@@ -22,7 +23,7 @@ from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.grading.numerics.cell_level import CellLevelFit, CellSamples, ControlLattice
+    from sppm_pipeline.features.grading.numerics.cell_level import CellSamples, ControlLattice
 
 POINTS = 4
 """Points along each axis of a cell at which a map is asked for its mean."""
@@ -227,7 +228,7 @@ class CurvedFit(NamedTuple):
     """A field with a level of its own in each bent cell, how well it does, and which cells had an equation."""
 
     field: LevelField
-    fit: CellLevelFit
+    fit: LevelFit
     known: NDArray[np.bool_]
 
 

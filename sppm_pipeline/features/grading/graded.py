@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import error_summary
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve, porosity_curve
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST

@@ -22,8 +22,8 @@ from sppm_pipeline.features.grading.graded import (
     scattered,
     trial,
 )
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.method.families.tiler import HALO, ROOM, TOLD, Scattering, without_faces
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.part.part import Part

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.features.grading.grading import QUANTITIES, RESERVED, Grading, Law
-from sppm_pipeline.features.grading.grading_data import DataLaw
+from sppm_pipeline.features.grading.laws import DataLaw
+from sppm_pipeline.features.grading.maps import QUANTITIES, RESERVED, Grading, Law
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.stage import Context, Stage, option

@@ -20,7 +20,7 @@ from sppm_pipeline.features.grading.graded import (
     recipe_total,
     scattered,
 )
-from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.warped import LaidGraph, WarpedTiling, cloud, laid_graph
 from sppm_pipeline.method.families.scattered import FilledBlocks
 from sppm_pipeline.method.families.tiler import HALO, without_faces

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.local_level import RUN, CellCodes, Sampled, runs_along_x, void_and_slope
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField

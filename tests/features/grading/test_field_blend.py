@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.grading.grading import FormulaLaw, Grading
+from sppm_pipeline.features.grading.laws import FormulaLaw
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.normal_scores import score_table, scores_of
 from sppm_pipeline.features.grading.stages.field_blend import BlendFields
 from sppm_pipeline.method.fields.formula import FormulaField

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
-from sppm_pipeline.features.grading.grading import FormulaLaw, Grading
+from sppm_pipeline.features.grading.laws import FormulaLaw
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.grade_distance import GradeDistance
 from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
 from sppm_pipeline.features.grading.stages.grade_image import GradeImage

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
-from sppm_pipeline.features.grading.grading import FormulaLaw, Grading
+from sppm_pipeline.features.grading.laws import FormulaLaw
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import stiffness_curve
 from sppm_pipeline.features.grading.stages.check_local_porosity import CheckLocalPorosity
 from sppm_pipeline.features.grading.stages.grade_stiffness import GradeStiffness

@@ -5,7 +5,8 @@ import pytest
 from scipy.ndimage import label
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.grading import Grading, TableLaw
+from sppm_pipeline.features.grading.laws import TableLaw
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.check_local_porosity import CheckLocalPorosity
 from sppm_pipeline.features.grading.stages.tile_graded import SPARE, GradedTiling
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.grading.grading import FormulaLaw, Grading
 from sppm_pipeline.features.grading.joined import kernel_sizes
+from sppm_pipeline.features.grading.laws import FormulaLaw
 from sppm_pipeline.features.grading.local_porosity import LatticeCells
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.tile_joined import JoinedTiling
 from sppm_pipeline.features.grading.stages.tileset_join import JoinTileSets
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity

@@ -141,7 +141,7 @@ def test_every_cell_gets_its_porosity_also_where_only_a_part_of_it_counts(memory
     # counted without codes
     for cell, target in zip(cells, targets, strict=True):
         x, y, z = (np.arange(20) / 20 + 0.025 + c for c in cell)
-        void = values(cell) >= spline_values(fit.control, x, y, z)
+        void = values(cell) >= spline_values(fit.values, x, y, z)
         assert (void[half] if cell == (3, 2, 0) else void).mean() == pytest.approx(target, abs=1.5e-3)
 
 
@@ -151,7 +151,7 @@ def test_a_cell_that_would_leave_the_bounds_keeps_them_and_is_told():
     codes = CellCodes(lambda run: [(values(cell), None) for cell in run], -1.4, 4.0, 1e9)
     fit = fit_level(codes, cells, np.array([0.5, 0.5, 0.02]), np.full((3, 1, 1), -1.4), (-2.5, -1.0), 0.1, 1e-3, 15)
     assert fit.at_bound.tolist() == [False, False, True]
-    assert fit.control[2, 0, 0] == -1.0
+    assert fit.values[2, 0, 0] == -1.0
     assert fit.errors[2] > 0.1
     assert np.abs(fit.errors[:2]).max() <= 1e-3
 

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.browser.live.structures import _tiles
-from sppm_pipeline.features.grading.grading import FormulaLaw, Grading, TableLaw
+from sppm_pipeline.features.grading.laws import FormulaLaw, TableLaw
 from sppm_pipeline.features.grading.local_porosity import LatticeCells
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.tile_graded import GradedTiling
 from sppm_pipeline.features.grading.stages.warp_cylinder import WarpCylinder
 from sppm_pipeline.features.surface.stages.extract_unit_cell import UnitCell

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.features.grading.numerics.newton import LevelFit, newton_steps
 from sppm_pipeline.services.jit.compiled import jit
 
 if TYPE_CHECKING:
@@ -23,10 +24,6 @@ SUPPORT = 1.6
 """How far a cell's weight reaches, in its own size: a choice. The corners of a cube are .87 away, its neighbors 1."""
 
 _CELLS_AT_A_TIME = 2000
-
-# Choices, as for lattices: a Newton step is cut at this share of the range between the bounds, and over all of that
-# range the porosity is taken to change at least so much.
-_LONGEST_STEP, _LEAST_CHANGE = 0.25, 0.05
 
 
 class ControlLattice(NamedTuple):
@@ -156,26 +153,6 @@ def means_over_cells(
     return csr_array(vstack(rows))
 
 
-class CellLevelFit(NamedTuple):
-    """Values of a level at the cells, and how well they do; all (m,).
-
-    Attributes
-    ----------
-    values : float64
-    errors : float64
-        Porosity less its target.
-    at_bound : bool
-        Cells whose value lies at a bound while their error is above the tolerance.
-    steps : int
-        How often all cells were compared.
-    """
-
-    values: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    at_bound: NDArray[np.bool_]
-    steps: int
-
-
 def fit_cells(
     measure: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]],
     means: csr_array,
@@ -185,62 +162,24 @@ def fit_cells(
     bounds: tuple[float, float],
     tolerance: float,
     steps: int,
-) -> CellLevelFit:
-    """Newton steps on the porosity of all cells at once.
-
-    Parameters
-    ----------
-    measure : callable of the values at the cells
-        Porosity of each cell, and its change with the mean of the level over it, positive downwards.
-    means : (m, m) sparse array
-        By `means_over_cells`.
-    known : (m,) bool
-        Cells that have an equation; others follow those around them.
-    targets, start : (m,) float64
-    bounds : 2 floats
-        Least and largest value.
-    tolerance : float
-        Largest error of a cell.
-    steps : int
-        Comparisons at most.
-    """
+) -> LevelFit:
+    """`newton_steps` on cells of any shape (m,): `means` is the matrix by `means_over_cells`."""
     from scipy.sparse import csc_array, eye_array
     from scipy.sparse.linalg import spsolve
 
-    values = np.clip(start, *bounds)
-    span = bounds[1] - bounds[0]
-    longest, least = _LONGEST_STEP * span, _LEAST_CHANGE / span
-    # cells without an equation take the mean of what is around them
+    # cells without an equation take the mean of those around them
     around = means.copy()
     around.setdiag(0.0)
     around = around.multiply((1 / np.maximum(np.asarray(around.sum(axis=1)).ravel(), 1e-300))[:, None])
-    smooth = eye_array(len(values)) - around
-    best: CellLevelFit | None = None
-    for step in range(1, steps + 1):
-        void, slope = measure(values)
-        errors = np.where(known, void - targets, 0.0)
-        stuck = (errors > tolerance) & (values >= bounds[1] - 1e-9)
-        stuck |= (errors < -tolerance) & (values <= bounds[0] + 1e-9)
-        fit = CellLevelFit(values, errors, stuck, step)
-        if best is None or _worst(fit) < _worst(best):
-            best = fit
-        if _worst(fit) <= tolerance:
-            break
-        wanted = np.clip(errors / np.maximum(slope, least), -longest, longest)
-        wanted[stuck | ~known] = 0.0
-        rows = means.multiply((known & ~stuck)[:, None].astype(float)) + smooth.multiply(
-            (~known & ~stuck)[:, None].astype(float)
-        )
-        rows = rows + eye_array(len(values)).multiply(stuck[:, None].astype(float))
-        values = np.clip(values + spsolve(csc_array(rows), wanted), *bounds)
-    assert best is not None
-    return best._replace(steps=step)
+    one = eye_array(len(known))
+    smooth = one - around
 
+    def move(wanted: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+        parts = [(means, known & ~held), (smooth, ~known & ~held), (one, held)]
+        rows = sum(matrix.multiply(own[:, None].astype(float)) for matrix, own in parts)
+        return np.asarray(spsolve(csc_array(rows), wanted))
 
-def _worst(fit: CellLevelFit) -> float:
-    """The largest error of the cells that can still move."""
-    free = np.abs(fit.errors[~fit.at_bound])
-    return float(free.max()) if len(free) else 0.0
+    return newton_steps(measure, move, known, targets, start, bounds, tolerance, steps)
 
 
 class CellSamples(NamedTuple):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.features.grading.numerics.newton import LevelFit, newton_steps
 from sppm_pipeline.method.kernels.level_spline import (
     control_of_means,
     control_with_some_held,
@@ -20,9 +19,6 @@ from sppm_pipeline.method.kernels.level_spline import (
 from sppm_pipeline.services.threads import ordered_map
 
 _STEPS_OF_CODE = 32766
-# Choices: a Newton step is cut at this share of the range between the bounds, and over all of that range the porosity
-# is taken to change at least so much.
-_LONGEST_STEP, _LEAST_CHANGE = 0.25, 0.05
 
 RUN = 4
 """Cells along x that are sampled together: long rows cost less than short ones, and kernels are listed for all at once.
@@ -32,30 +28,6 @@ Cell = tuple[int, int, int]
 Sampled = tuple[NDArray[np.floating], NDArray[np.bool_] | None]
 Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
 """Gives of each cell of a run the values that the level is compared with, (n, n, n) by z, y, x, and which count."""
-
-
-class LevelFit(NamedTuple):
-    """A level spline and how well it does.
-
-    Attributes
-    ----------
-    control : (nx, ny, nz) float64
-        Control points.
-    errors : (m,) float64
-        Porosity less its target of each cell.
-    slopes : (m,) float64
-        Change of the porosity with the level.
-    at_bound : (m,) bool
-        Cells whose control point lies at a bound while their error is above the tolerance.
-    steps : int
-        How often all cells were compared.
-    """
-
-    control: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    slopes: NDArray[np.float64]
-    at_bound: NDArray[np.bool_]
-    steps: int
 
 
 class CellCodes:
@@ -181,42 +153,27 @@ def fit_level(
         Told how many cells of all have been compared.
     """
     place, runs = tuple(np.array(cells).T), runs_along_x(cells, RUN)
-    known = np.zeros(start.shape, bool)
-    known[place] = True
-    control = np.clip(start, *bounds)
-    span = bounds[1] - bounds[0]
-    longest, least = _LONGEST_STEP * span, _LEAST_CHANGE / span
-    best: LevelFit | None = None
-    for step in range(1, steps + 1):
-        found = dict[Cell, tuple[float, float]]()
-        for run, pairs in zip(runs, ordered_map(partial(_compared, codes, control, width), runs, threads), strict=True):
-            found.update(zip(run, pairs, strict=True))
-            progress((step - 1) * len(cells) + len(found), steps * len(cells))
-        void, slope = np.array([found[cell] for cell in cells]).T
-        errors = void - targets
-        stuck = (errors > tolerance) & (control[place] >= bounds[1] - 1e-9)
-        stuck |= (errors < -tolerance) & (control[place] <= bounds[0] + 1e-9)
-        fit = LevelFit(control, errors, slope, stuck, step)
-        if best is None or _worst(fit) < _worst(best):
-            best = fit
-        if _worst(fit) <= tolerance:
-            break
-        change = np.zeros(start.shape)
-        # what a cell at its bound still lacks is no reason for those around it to move
-        change[place] = np.where(stuck, 0.0, np.clip(errors / np.maximum(slope, least), -longest, longest))
+    known, wanted = np.zeros(start.shape, bool), np.zeros(start.shape)
+    known[place], wanted[place] = True, targets
+    step = 0
+
+    def measure(control: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        nonlocal step
+        void, slope, done = np.zeros(start.shape), np.zeros(start.shape), 0
+        compared = ordered_map(partial(void_and_slope, codes, control, width=width), runs, threads)
+        for run, pairs in zip(runs, compared, strict=True):
+            void[tuple(np.array(run).T)], slope[tuple(np.array(run).T)] = np.array(pairs).T
+            done += len(run)
+            progress(step * len(cells) + done, steps * len(cells))
+        step += 1
+        return void, slope
+
+    def move(change: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
         change = extended(change, known)
-        held = np.zeros(start.shape, bool)
-        held[place] = stuck
-        moved = control_with_some_held(change, held) if stuck.any() else control_of_means(change)
-        control = np.clip(control + moved, *bounds)
-    assert best is not None
-    return best._replace(steps=step)
+        return control_with_some_held(change, held) if held.any() else control_of_means(change)
 
-
-def _compared(
-    codes: CellCodes, control: NDArray[np.float64], width: float, run: Sequence[Cell]
-) -> list[tuple[float, float]]:
-    return void_and_slope(codes, control, run, width)
+    fit = newton_steps(measure, move, known, wanted, start, bounds, tolerance, steps)
+    return fit._replace(errors=fit.errors[place], at_bound=fit.at_bound[place])
 
 
 def runs_along_x(cells: Sequence[Cell], most: int) -> list[list[Cell]]:
@@ -228,9 +185,3 @@ def runs_along_x(cells: Sequence[Cell], most: int) -> list[list[Cell]]:
         else:
             runs.append([(i, j, k)])
     return runs
-
-
-def _worst(fit: LevelFit) -> float:
-    """The largest error of the cells that can still move."""
-    free = np.abs(fit.errors[~fit.at_bound])
-    return float(free.max()) if len(free) else 0.0 if fit.at_bound.any() else math.inf

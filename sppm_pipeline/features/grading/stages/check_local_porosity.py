@@ -27,9 +27,9 @@ from sppm_pipeline import (
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.features.grading.graded import trial
-from sppm_pipeline.features.grading.grading import Grading
-from sppm_pipeline.features.grading.grading_data import StiffnessLaw
+from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE, error_summary, filled_cells
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.grid import cell_centers
 
@@ -224,8 +224,8 @@ class CheckLocalPorosity(Stage):
     ) -> None:
         from PIL import Image
 
-        from sppm_pipeline.features.grading.local_maps import map_sections, porosity_scatter
         from sppm_pipeline.features.grading.numerics.local_means import BLOCKS
+        from sppm_pipeline.features.grading.section_pictures import map_sections, porosity_scatter
         from sppm_pipeline.services.formats import vti
 
         assert self.path is not None

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Length, Palette, Size, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
-from sppm_pipeline.features.grading.grading import Grading
-from sppm_pipeline.features.grading.grading_data import DistanceLaw
+from sppm_pipeline.features.grading.laws import DistanceLaw
+from sppm_pipeline.features.grading.maps import Grading
 
 
 @dataclass(frozen=True, kw_only=True)

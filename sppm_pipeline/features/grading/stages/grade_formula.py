@@ -9,16 +9,15 @@ import numpy as np
 
 from sppm_pipeline import ConfigError, Context, Palette, Size, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
-from sppm_pipeline.features.grading.grading import (
+from sppm_pipeline.features.grading.laws import DistanceLaw, FormulaLaw
+from sppm_pipeline.features.grading.maps import (
     BOX_COORDINATES,
     CELL_COORDINATES,
     COORDINATES,
     DISTANCE,
     RESERVED,
-    FormulaLaw,
     Grading,
 )
-from sppm_pipeline.features.grading.grading_data import DistanceLaw
 from sppm_pipeline.features.grading.numerics.expression import Expression, names_in
 
 PLACES = (*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Length, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
-from sppm_pipeline.features.grading.grading_data import NodesLaw
+from sppm_pipeline.features.grading.laws import NodesLaw
 from sppm_pipeline.features.grading.numerics.expression import nearest
 from sppm_pipeline.features.grading.numerics.samples import (
     CORNERS,
@@ -115,7 +115,7 @@ class GradeNodes(DataGrader):
                 values = smoothed(points, weights, values, self.smooth.mm())
             except ValueError as error:
                 raise ConfigError(f"`smooth: {self.smooth}`: {error}", hint="smooth less, or a coarser mesh") from None
-        return NodesLaw(self.of, self.unit_of_values, self.outside, points, tetrahedra, self.factor * values)
+        return NodesLaw(self.of, self.unit_of_values, self.outside, points, self.factor * values, tetrahedra=tetrahedra)
 
     def _array(self, read: Any, places: list[int]) -> tuple[NDArray[np.float64], bool]:
         """One number for each node, or for each element in blocks of these places; and which of both."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Context, InputError, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
-from sppm_pipeline.features.grading.grading_data import PointsLaw
+from sppm_pipeline.features.grading.laws import PointsLaw
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 
 MOST_LINEAR = 200_000

@@ -25,8 +25,8 @@ from sppm_pipeline import (
 from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.features.grading.graded import curve_of, recipe_total, trial
 from sppm_pipeline.features.grading.grader import Grader
-from sppm_pipeline.features.grading.grading import Grading
-from sppm_pipeline.features.grading.grading_data import StiffnessLaw
+from sppm_pipeline.features.grading.laws import StiffnessLaw
+from sppm_pipeline.features.grading.maps import Grading
 
 TRIED = 6
 """Numbers of pores that are usually tried to cover porosities from .3 to .8."""

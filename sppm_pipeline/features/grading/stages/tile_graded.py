@@ -33,8 +33,8 @@ from sppm_pipeline.features.grading.graded import (
     sites_of,
     trial,
 )
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST

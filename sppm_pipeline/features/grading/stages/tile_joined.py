@@ -25,10 +25,10 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.features.grading.graded import check_round, in_rounds
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.joined import JoinedSets, Transition, Union
 from sppm_pipeline.features.grading.joined_sizes import Laid, TwoSizes, beside, faces_without, refined
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
+from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size

@@ -29,7 +29,6 @@ from sppm_pipeline.features.grading.curved_porosity import (
     curved_targets,
     fit_curved_level,
 )
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import (
     HALF_RANGE,
     RAMP,
@@ -38,7 +37,9 @@ from sppm_pipeline.features.grading.local_porosity import (
     cell_means,
     error_summary,
 )
-from sppm_pipeline.features.grading.numerics.local_level import CellCodes, LevelFit, fit_level
+from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level
+from sppm_pipeline.features.grading.numerics.newton import LevelFit
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
 
@@ -115,7 +116,7 @@ class TuneLocalPorosity(Stage):
             codes, cells.cells, targets, control, bounds, ramp, self.tolerance / 4, self.evaluations, cells.across,
             lambda done, of: context.progress(done, of, "cells compared"),
         )  # fmt: skip
-        made = LevelField(bare, fit.control)
+        made = LevelField(bare, fit.values)
         tuned = replace(field, base=made) if isinstance(field, Part) else made
         self._tell_bounds(context, cells.cells, targets, fit, bare)
         self._check(context, tuned, cells.cells, targets, fit)

@@ -6,15 +6,14 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS, Expression, nearest
-from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
+from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS, nearest
+from sppm_pipeline.nouns.artifact import Artifact, in_rows
 from sppm_pipeline.nouns.palette import Maps
 
 Points = NDArray[np.float64]
@@ -171,105 +170,6 @@ def checked(law: Law, place: Place) -> NDArray[np.float64]:
             hint="bound it by clip(value, low, high), or look at the data behind it",
         )
     return values
-
-
-@dataclass(frozen=True, eq=False)
-class FormulaLaw(Law):
-    """A formula of the coordinates and of earlier maps.
-
-    Attributes
-    ----------
-    text : str
-    names : tuple of str
-        Maps and coordinates that it may use.
-    constants : tuple of (name, value)
-    box : (2, 3) float64, mm, or None
-        Low and high corner of the part, of which u, v, w are shares.
-    surface : Law or None
-        The distance from the part.
-    """
-
-    text: str
-    names: tuple[str, ...]
-    constants: tuple[tuple[str, float], ...]
-    box: NDArray[np.float64] | None
-    surface: Law | None
-
-    @cached_property
-    def expression(self) -> Expression:
-        """The compiled formula."""
-        constants = [name for name, _ in self.constants]
-        box = () if self.box is None else BOX_COORDINATES
-        depth = () if self.surface is None else (DISTANCE,)
-        return Expression(self.text, (*COORDINATES, *CELL_COORDINATES, *box, *depth, *constants, *self.names))
-
-    def at(self, place: Place) -> NDArray[np.float64]:
-        constants = dict(self.constants)
-        values = {}
-        for name in self.expression.used:
-            if name in constants:
-                values[name] = np.full(len(place.points), constants[name])
-            elif name in BOX_COORDINATES and self.box is not None:
-                axis = BOX_COORDINATES.index(name)
-                low, high = self.box[:, axis]
-                values[name] = (place.points[:, axis] - low) / (high - low)
-            elif name == DISTANCE and self.surface is not None:
-                values[name] = self.surface.at(place)
-            else:
-                values[name] = place.values(name)
-        return self.expression.evaluate(values, len(place.points))
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return tuple(name for name in self.expression.used if name in self.names)
-
-    def blame(self) -> str:
-        return f"the map {self.name!r}, the formula {self.text!r},"
-
-
-@dataclass(frozen=True, eq=False)
-class TableLaw(Law):
-    """Values at places along a coordinate or over an earlier map.
-
-    Attributes
-    ----------
-    along : str
-        "x", "cell_x", or the name of a map.
-    places, values : (k,) float64
-        Places in ascending order. With steps values hold from a place to the next.
-    kind : str
-        "steps", "linear" or "smooth", the last by monotone cubic polynomials.
-    """
-
-    along: str
-    places: NDArray[np.float64]
-    values: NDArray[np.float64]
-    kind: str
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "places", frozen(self.places))
-        object.__setattr__(self, "values", frozen(self.values))
-
-    def at(self, place: Place) -> NDArray[np.float64]:
-        t = place.values(self.along)
-        if self.kind == "steps" or len(self.places) == 1:
-            return self.values[np.clip(np.searchsorted(self.places, t, side="right") - 1, 0, None)]
-        if self.kind == "linear":
-            return np.interp(t, self.places, self.values)
-        from sppm_pipeline.services.monotone_cubic import monotone_cubic
-
-        curve = monotone_cubic(self.places, self.values).at
-        # the curve does not leave the values but for rounding
-        found: NDArray[np.float64] = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
-        return found
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return () if self.along in (*COORDINATES, *CELL_COORDINATES) else (self.along,)
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        return float(self.values.min()), float(self.values.max())
 
 
 class Map:

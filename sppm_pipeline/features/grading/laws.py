@@ -1,8 +1,8 @@
-"""Laws of maps that are data: an image, samples at points, values of a finite element mesh, distances."""
+"""Laws behind maps: formulas, tables, and data (images, samples, finite elements, distances, curves of stiffness)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -10,9 +10,108 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.grading.grading import Law, Place
+from sppm_pipeline.features.grading.maps import BOX_COORDINATES, CELL_COORDINATES, COORDINATES, DISTANCE, Law, Place
 from sppm_pipeline.features.grading.numerics.curve import StiffnessCurve
+from sppm_pipeline.features.grading.numerics.expression import Expression
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.monotone_cubic import monotone_cubic
+
+
+@dataclass(frozen=True, eq=False)
+class FormulaLaw(Law):
+    """A formula of the coordinates and of earlier maps.
+
+    Attributes
+    ----------
+    text : str
+    names : tuple of str
+        Maps and coordinates that it may use.
+    constants : tuple of (name, value)
+    box : (2, 3) float64, mm, or None
+        Low and high corner of the part, of which u, v, w are shares.
+    surface : Law or None
+        The distance from the part.
+    """
+
+    text: str
+    names: tuple[str, ...]
+    constants: tuple[tuple[str, float], ...]
+    box: NDArray[np.float64] | None
+    surface: Law | None
+
+    @cached_property
+    def expression(self) -> Expression:
+        """The compiled formula."""
+        constants = [name for name, _ in self.constants]
+        box = () if self.box is None else BOX_COORDINATES
+        depth = () if self.surface is None else (DISTANCE,)
+        return Expression(self.text, (*COORDINATES, *CELL_COORDINATES, *box, *depth, *constants, *self.names))
+
+    def at(self, place: Place) -> NDArray[np.float64]:
+        constants = dict(self.constants)
+        values = {}
+        for name in self.expression.used:
+            if name in constants:
+                values[name] = np.full(len(place.points), constants[name])
+            elif name in BOX_COORDINATES and self.box is not None:
+                axis = BOX_COORDINATES.index(name)
+                low, high = self.box[:, axis]
+                values[name] = (place.points[:, axis] - low) / (high - low)
+            elif name == DISTANCE and self.surface is not None:
+                values[name] = self.surface.at(place)
+            else:
+                values[name] = place.values(name)
+        return self.expression.evaluate(values, len(place.points))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(name for name in self.expression.used if name in self.names)
+
+    def blame(self) -> str:
+        return f"the map {self.name!r}, the formula {self.text!r},"
+
+
+@dataclass(frozen=True, eq=False)
+class TableLaw(Law):
+    """Values at places along a coordinate or over an earlier map.
+
+    Attributes
+    ----------
+    along : str
+        "x", "cell_x", or the name of a map.
+    places, values : (k,) float64
+        Places in ascending order. With steps values hold from a place to the next.
+    kind : str
+        "steps", "linear" or "smooth", the last by monotone cubic polynomials.
+    """
+
+    along: str
+    places: NDArray[np.float64]
+    values: NDArray[np.float64]
+    kind: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "places", frozen(self.places))
+        object.__setattr__(self, "values", frozen(self.values))
+
+    def at(self, place: Place) -> NDArray[np.float64]:
+        t = place.values(self.along)
+        if self.kind == "steps" or len(self.places) == 1:
+            return self.values[np.clip(np.searchsorted(self.places, t, side="right") - 1, 0, None)]
+        if self.kind == "linear":
+            return np.interp(t, self.places, self.values)
+        curve = monotone_cubic(self.places, self.values).at
+        # the curve does not leave the values but for rounding
+        found: NDArray[np.float64] = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
+        return found
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return () if self.along in (*COORDINATES, *CELL_COORDINATES) else (self.along,)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return float(self.values.min()), float(self.values.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +185,7 @@ class ImageLaw(DataLaw):
 
 @dataclass(frozen=True, eq=False)
 class PointsLaw(DataLaw):
-    """Samples at points: linear in the tetrahedra of Delaunay, of the nearest one, or by inverse distances.
+    """Samples at points: linear in tetrahedra, the value of the nearest one, or a mean by inverse distances.
 
     Attributes
     ----------
@@ -98,7 +197,7 @@ class PointsLaw(DataLaw):
 
     points: NDArray[np.float64]
     values: NDArray[np.float64]
-    by: str
+    by: str = "linear"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", frozen(self.points))
@@ -112,6 +211,13 @@ class PointsLaw(DataLaw):
     def bounds(self) -> tuple[float, float]:
         return float(self.values.min()), float(self.values.max())
 
+    @property
+    def elements(self) -> NDArray[np.int64]:
+        """Points of each tetrahedron, (k, 4): those of Delaunay."""
+        from scipy.spatial import Delaunay
+
+        return Delaunay(self.points).simplices.astype(np.int64)
+
     @cached_property
     def _tree(self) -> Any:
         from scipy.spatial import cKDTree
@@ -120,9 +226,7 @@ class PointsLaw(DataLaw):
 
     @cached_property
     def _mesh(self) -> Tetrahedra:
-        from scipy.spatial import Delaunay
-
-        return Tetrahedra(self.points, Delaunay(self.points).simplices.astype(np.int64))
+        return Tetrahedra(self.points, self.elements)
 
     def at(self, place: Place) -> NDArray[np.float64]:
         from sppm_pipeline.features.grading.numerics.samples import by_inverse_distance
@@ -135,6 +239,21 @@ class PointsLaw(DataLaw):
         else:
             found = by_inverse_distance(self._tree, self.values, place.points)
         return self.bounded(found, self.beyond(place.points))
+
+
+@dataclass(frozen=True, eq=False)
+class NodesLaw(PointsLaw):
+    """Values at the nodes of a finite element mesh, linear in `tetrahedra` (k, 4) that fill its elements."""
+
+    tetrahedra: NDArray[np.int64] = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "tetrahedra", frozen(self.tetrahedra))
+
+    @property
+    def elements(self) -> NDArray[np.int64]:
+        return self.tetrahedra
 
 
 class Tetrahedra:
@@ -168,42 +287,6 @@ class Tetrahedra:
             away = np.abs(placed - points[outside]).max(axis=1)
             outside[outside] = away > 1e-9 * np.abs(points).max()
         return np.einsum("ij,ij->i", weights, values[self._tetrahedra[element]]), outside
-
-
-@dataclass(frozen=True, eq=False)
-class NodesLaw(DataLaw):
-    """Values at the nodes of a finite element mesh, linear in tetrahedra that fill its elements.
-
-    Attributes
-    ----------
-    nodes : (n, 3) float64, mm
-    tetrahedra : (m, 4) int64
-    values : (n,) float64
-    """
-
-    nodes: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    values: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        for name in ("nodes", "tetrahedra", "values"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
-    @property
-    def box(self) -> NDArray[np.float64]:
-        return np.array([self.nodes.min(axis=0), self.nodes.max(axis=0)])
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        return float(self.values.min()), float(self.values.max())
-
-    @cached_property
-    def _mesh(self) -> Tetrahedra:
-        return Tetrahedra(self.nodes, self.tetrahedra)
-
-    def at(self, place: Place) -> NDArray[np.float64]:
-        values, outside = self._mesh.values(self.values, place.points)
-        return self.bounded(values, outside)
 
 
 @dataclass(frozen=True, eq=False)
