@@ -39,6 +39,20 @@ class Places(NamedTuple):
     within: NDArray[np.float64]
 
 
+class Mapped(NamedTuple):
+    """Points of a box of cells that was bent.
+
+    Attributes
+    ----------
+    points : (n, 3) float64, mm
+    volume : (n,) float64
+        Volume of a cell there relative to that of a cell of the box; not positive where the mapping turns inside out.
+    """
+
+    points: NDArray[np.float64]
+    volume: NDArray[np.float64]
+
+
 @dataclass(frozen=True, eq=False)
 class CurvedCells(ABC):
     """Bent cells that fill a region, each the image of a unit cube.
@@ -154,10 +168,8 @@ class BentBox(CurvedCells):
     around: float
 
     @abstractmethod
-    def mapped(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points (n, 3) mm of places of the box, cells from its low corner, and the volume of a cell there over that
-        of one before, (n,).
-        """
+    def mapped(self, places: NDArray[np.float64]) -> Mapped:
+        """Points at places (n, 3) of the box, in cell sizes from its low corner."""
 
     @abstractmethod
     def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -231,11 +243,11 @@ class BentBox(CurvedCells):
 class CylinderCells(BentBox):
     """A box bent to the wall of a tube around the z axis: x goes around, y along the axis, z outwards."""
 
-    def mapped(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mapped(self, places: NDArray[np.float64]) -> Mapped:
         angle, r = self.turn * places[:, 0], self.inner_radius + self.edge * places[:, 2]
         points = np.stack([r * np.cos(angle), r * np.sin(angle), self.edge * places[:, 1]], axis=1)
         # x, y, z of the box are around, upwards, outwards: a right-handed frame
-        return points, self.turn * r / self.edge
+        return Mapped(points, self.turn * r / self.edge)
 
     def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         r = np.hypot(points[:, 0], points[:, 1])
@@ -268,14 +280,14 @@ class SphereCells(BentBox):
         """Angle that a cell fills to the north, radians."""
         return self.climb / self.shape[1]
 
-    def mapped(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mapped(self, places: NDArray[np.float64]) -> Mapped:
         turn, rise = self.turn, self.rise
         longitude = turn * places[:, 0]
         latitude = self.south + rise * places[:, 1]
         r = self.inner_radius + self.edge * places[:, 2]
         across = r * np.cos(latitude)
         points = np.stack([across * np.cos(longitude), across * np.sin(longitude), r * np.sin(latitude)], axis=1)
-        return points, turn * across * rise * r / self.edge**2
+        return Mapped(points, turn * across * rise * r / self.edge**2)
 
     def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         across = np.hypot(points[:, 0], points[:, 1])

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
+from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.newton import LevelFit
-from sppm_pipeline.features.grading.warped import WarpedTiling
 from sppm_pipeline.features.grading.warped_field import WarpedField
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField

@@ -20,8 +20,8 @@ from sppm_pipeline.features.grading.graded import (
     recipe_total,
     scattered,
 )
+from sppm_pipeline.features.grading.laid_graph import WarpedTiling, cloud, laid_graph
 from sppm_pipeline.features.grading.maps import Grading
-from sppm_pipeline.features.grading.warped import LaidGraph, WarpedTiling, cloud, laid_graph
 from sppm_pipeline.method.families.scattered import FilledBlocks
 from sppm_pipeline.method.families.tiler import HALO, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
@@ -300,8 +300,6 @@ class HexahedralCloud:
 
     def _scaled(self, micro: Microstructure, blocks: HexahedralBlocks) -> WarpedTiling:
         """The graph with kernels of the sizes of the cells around them, laid in blocks."""
-        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
-
         if not micro.additive:
             raise ConfigError("walls can't fill a mesh of hexahedra", hint="end the recipe with `field.gaussian`")
         plain = without_faces(micro, blocks, 0, blocks.edge, blocks.origin)
@@ -312,12 +310,7 @@ class HexahedralCloud:
         largest = max(float(at_pores.max(initial=0.0)), float(at_tunnels.max(initial=0.0)))
         edge = max(blocks.edge, micro.reach * largest / HALO)
         profile = micro.pieces.kernels.profile
-        scaled = LaidGraph(
-            points,
-            graph.omega * PORE_PROFILE.scaled_radius(at_pores / edge),
-            graph.edges,
-            graph.mu * TUNNEL_PROFILES[profile].scaled_radius(at_tunnels / edge),
-        )
+        scaled = graph._replace(points=points).resized(profile, at_pores / edge, at_tunnels / edge)
         made = cloud(scaled, edge, self.curved.box, profile, micro.level, curved=self.curved)
         assert isinstance(made, WarpedTiling)
         return made

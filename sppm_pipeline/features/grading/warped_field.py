@@ -206,8 +206,8 @@ def warped_field(base: ScalarField, curved: CurvedCells, samples: int) -> Warped
     return WarpedField(base, curved, extent, edge, (x, y, z), samples, (least / edge, most / edge))
 
 
-def looks_alike_from_all_sides(base: ScalarField, n: int = 24) -> bool:
-    """Whether a cell that repeats is unchanged by the turns and mirrors of a cube, as cells of any mesh have to be."""
+def has_cubic_symmetry(base: ScalarField, n: int = 24) -> bool:
+    """Test whether a periodic cell has the symmetry of a cube, so that it fits its neighbors in a mesh of any shape."""
     values = base.sample(n).astype(np.float64)
     values = values[:n, :n, :n]
     slack = 1e-3 * float(np.abs(values).max())

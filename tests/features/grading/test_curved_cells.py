@@ -10,7 +10,7 @@ import pytest
 from sppm_pipeline.features.grading.curved_cells import CylinderCells, HexahedralCells, SphereCells
 from sppm_pipeline.features.grading.numerics.hexahedral_determinant import above_throughout, determinant_coefficients
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import (
-    VTK_ORDER,
+    PLACES,
     boundary_triangles,
     checked_mesh,
     corner_determinants,
@@ -246,7 +246,7 @@ def test_no_sample_belies_the_proof():
 def test_a_hexahedron_inside_out_within_is_refused_by_its_number():
     points, hexes = squares([(0, 0), (3, 0)], 1.0, layers=1)
     bad = twisted(180, 1.2, 1.1)[0]
-    own = np.array([8.0, 0.0, 0.0]) + [bad[corner] for corner in VTK_ORDER]
+    own = np.array([8.0, 0.0, 0.0]) + bad.reshape(8, 3)[np.argsort(PLACES)]
     with pytest.raises(ValueError, match=r"hexahedron 2 is inside out or flat somewhere within, .* 1 of 3"):
         checked_mesh(np.concatenate([points, own]), np.concatenate([hexes, np.arange(8)[None] + len(points)]))
 

@@ -15,13 +15,13 @@ from scipy.ndimage import map_coordinates
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.hexahedral_cloud import Surroundings
+from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.stages.check_local_porosity import CheckLocalPorosity
 from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
 from sppm_pipeline.features.grading.stages.read_hexahedra import ReadHexahedra
 from sppm_pipeline.features.grading.stages.tile_hexahedra import HexahedralTiling
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity
 from sppm_pipeline.features.grading.stages.warp_cylinder import WarpCylinder
-from sppm_pipeline.features.grading.warped import WarpedTiling
 from sppm_pipeline.method.families.sampler import Sampler
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.part.part import Part

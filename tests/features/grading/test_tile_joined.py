@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.grading.joined import kernel_sizes
+from sppm_pipeline.features.grading.laid_graph import kernel_sizes
 from sppm_pipeline.features.grading.laws import FormulaLaw
 from sppm_pipeline.features.grading.local_porosity import LatticeCells
 from sppm_pipeline.features.grading.maps import Grading

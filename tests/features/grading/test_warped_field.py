@@ -10,7 +10,7 @@ import pytest
 
 from sppm_pipeline.features.grading.curved_cells import CylinderCells, HexahedralCells
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import checked_mesh
-from sppm_pipeline.features.grading.warped_field import looks_alike_from_all_sides, warped_field
+from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry, warped_field
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.fields.wrapped import RepeatedField
 from sppm_pipeline.services.grid import Grid
@@ -69,8 +69,8 @@ def test_flips_against_the_formula_itself(wall):
 def test_a_cell_alike_from_all_sides_fills_a_mesh_without_seams():
     """Five cells around an edge: values meet at the faces between them; a gyroid's would not."""
     base = Waves(edge=2.0)
-    assert looks_alike_from_all_sides(base)
-    assert not looks_alike_from_all_sides(Waves(edge=2.0, tilt=0.2))
+    assert has_cubic_symmetry(base)
+    assert not has_cubic_symmetry(Waves(edge=2.0, tilt=0.2))
     cells = HexahedralCells(checked_mesh(*star(5, 2.0)).corners)
     field = warped_field(base, cells, 32)
     t = np.linspace(0.05, 0.95, 7)

@@ -8,7 +8,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.numerics.hexahedral_mesh import VTK_ORDER
+from sppm_pipeline.features.grading.numerics.hexahedral_mesh import PLACES
+from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
 
 
 def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -29,9 +30,7 @@ def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
     ValueError
         If the elements are no block of nx x ny x nz.
     """
-    cubes = np.empty((len(hexahedra), 2, 2, 2), np.int64)
-    for node, (i, j, k) in enumerate(VTK_ORDER):
-        cubes[:, i, j, k] = hexahedra[:, node]
+    cubes = hexahedra[:, PLACES].reshape(-1, 2, 2, 2)
     owners: dict[frozenset[int], list[int]] = {}
     for number, cube in enumerate(cubes):
         for axis, side in itertools.product(range(3), range(2)):
@@ -103,15 +102,6 @@ def mapped_in_block(
     """
     size = np.array(corners.shape[:3]) - 1
     element = np.clip(np.floor(places), 0, size - 1).astype(np.int64)
-    t = places - element
-    points = np.zeros_like(places)
-    derivative = np.zeros((len(places), 3, 3))
-    for corner in itertools.product(range(2), repeat=3):
-        own = corners[tuple((element + corner).T)]
-        weights = np.where(corner, t, 1 - t)
-        slope = np.where(corner, 1.0, -1.0)
-        points += own * weights.prod(axis=1)[:, None]
-        for axis in range(3):
-            others = [a for a in range(3) if a != axis]
-            derivative[:, :, axis] += own * (slope[axis] * weights[:, others].prod(axis=1))[:, None]
+    own = np.stack([corners[tuple((element + corner).T)] for corner in np.ndindex(2, 2, 2)], axis=1)
+    points, derivative = points_in(own.reshape(-1, 2, 2, 2, 3), np.arange(len(places)), places - element)
     return points, np.linalg.det(derivative)

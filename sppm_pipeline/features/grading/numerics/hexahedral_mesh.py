@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.features.grading.numerics.hexahedral_determinant import above_throughout
 from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
 
-VTK_ORDER = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
-"""Place of each node of a hexahedron in VTK's order, which meshio gives."""
+PLACES = np.array([0, 4, 3, 7, 1, 5, 2, 6])
+"""Node in VTK's order, which meshio gives, at each place of a hexahedron: x, y, z low or high, z fastest."""
 
 _ORDERS = {
     "": [0, 1, 2, 3, 4, 5, 6, 7],
@@ -88,10 +88,7 @@ def checked_mesh(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> H
 
 def corners_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> NDArray[np.float64]:
     """Nodes by x, y, z of hexahedra (m, 8) in VTK's order, (m, 2, 2, 2, 3)."""
-    corners = np.empty((len(hexahedra), 2, 2, 2, 3))
-    for node, (i, j, k) in enumerate(VTK_ORDER):
-        corners[:, i, j, k] = nodes[hexahedra[:, node]]
-    return corners
+    return nodes[hexahedra[:, PLACES]].reshape(-1, 2, 2, 2, 3)
 
 
 def _joined(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -18,28 +17,21 @@ from sppm_pipeline import (
     Size,
     Stage,
     SurfaceMesh,
-    Tiler,
     TileSet,
     Tiling,
     option,
     options,
 )
 from sppm_pipeline.features.grading.graded import check_round, in_rounds
-from sppm_pipeline.features.grading.joined import JoinedSets, Transition, Union
-from sppm_pipeline.features.grading.joined_sizes import Laid, TwoSizes, beside, faces_without, refined
+from sppm_pipeline.features.grading.joined import JoinedSets, Layout, SameSize, Transition, TwoSizes, usual_kernels
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.maps import Grading
-from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
 
 TIGHTER = 0.93
 """Factor of the spacing where the pores of a transition cell found no room: a choice."""
-
-
-Weights = Callable[[NDArray[Any]], NDArray[np.float64]]
-"""The map `weight` at places in cells of the box, (..., 3)."""
 
 
 class Usual(NamedTuple):
@@ -107,7 +99,8 @@ class JoinedTiling(Stage):
             world = (place - HALO) * edge + np.array(lattice.origin)
             return np.clip(frame["weight"].at(world.reshape(-1, 3)), 0, 1).reshape(place.shape[:-1])
 
-        layout = (OneSize if max(sets.per_edge) == 1 else Sized)(context, sets, mask, weights, edge, lattice.origin)
+        kind = SameSize if max(sets.per_edge) == 1 else TwoSizes
+        layout: Layout = kind(context, sets, mask, weights, edge, lattice.origin)
         own, between = layout.own, layout.between
         if len(between) > self.limit:
             raise DesignError(
@@ -167,23 +160,17 @@ class JoinedTiling(Stage):
         return made
 
     def _usual(self, context: Context, tileset: TileSet, m: int) -> Usual:
-        """What is usual in a large cell full of cells of a set, m along its edge."""
-        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
-
+        """Averages over a large cell full of cells of a set, m along its edge."""
         micro = tileset.micro
         pores = micro.graph.pores
-        inner = pores.piece < pores.interiors
-        kernels = micro.pieces.kernels
         if tileset.porosity:
             porosity = float(np.mean(tileset.porosity))
         else:
             porosity = float((micro.alone(0, (0, 0, 0)).sample(self.resolution, context.threads) >= 0).mean())
+        # darts at the densest packing they reach lie about 0.7 mean distances apart
         spacing = pores.spacing or 0.7 * pores.per_cell ** (-1 / 3)
-        count = float(inner.sum()) / pores.interiors
-        factor = np.array([1 / m])
-        omega = float(np.median(kernels.omega * PORE_PROFILE.scaled_radius(factor)))
-        mu = float(np.median(kernels.mu * TUNNEL_PROFILES[kernels.profile].scaled_radius(factor)))
-        return Usual(count * m**3, spacing / m, omega, mu, porosity)
+        count = float((pores.piece < pores.interiors).sum()) / pores.interiors
+        return Usual(count * m**3, spacing / m, *usual_kernels(micro, m), porosity)
 
     def _levels(
         self, sets: JoinedSets, own: NDArray[np.int8], between: NDArray[np.int64], share: NDArray[np.float64]
@@ -204,7 +191,7 @@ class JoinedTiling(Stage):
         return control
 
     def _drawn(
-        self, context: Context, layout: OneSize | Sized, number: int, key: tuple[int, int], count: float, share: float,
+        self, context: Context, layout: Layout, number: int, key: tuple[int, int], count: float, share: float,
         usual: list[Usual],
     ) -> Transition:  # fmt: skip
         """The interior of a transition cell: pores that keep away from those of its faces, joined with each other."""
@@ -213,7 +200,7 @@ class JoinedTiling(Stage):
         from sppm_pipeline.method.sampling.darts import throw
 
         a, b = usual
-        obstacles, around = layout.around(number)
+        obstacles = layout.around(number)
         n = max(FEWEST, round(float(count)))
         expected = (1 - share) * a.pores + share * b.pores
         spacing = a.spacing ** (1 - share) * b.spacing**share * min(1.0, (expected / n) ** (1 / 3))
@@ -240,110 +227,4 @@ class JoinedTiling(Stage):
         low, high, _ = clamped_degrees(n, *self.degree)
         edges, _ = spanning_subgraph(centers, (low, high), mode="greedy", periodic=False, k=10)
         omega, mu = (float(x ** (1 - share) * y**share) for x, y in ((a.omega, b.omega), (a.mu, b.mu)))
-        return Transition(centers, edges, around, omega, mu)
-
-
-class OneSize:
-    """Where both sets lie whose cells are equally large; each face belongs to one of them.
-
-    Attributes
-    ----------
-    own : (nx, ny, nz) int8
-        Whose each cell is: 0, 1, 2 between, -1 none.
-    between : (m, 3) int64
-        Transition cells.
-    """
-
-    def __init__(
-        self, context: Context, sets: JoinedSets, mask: NDArray[np.bool_], weights: Weights, edge: float,
-        origin: tuple[float, float, float],
-    ) -> None:  # fmt: skip
-        self._union, self._edge, self._origin = Union(sets), edge, origin
-        union = self._union
-        laid = [_rule(tileset).lay(context.rng(which), mask, tileset) for which, tileset in enumerate(sets.sets)]
-        faces, seconds = [], []
-        for axis in range(3):
-            place = np.argwhere(laid[0][1][axis] >= 0)
-            middle = place + np.where(np.arange(3) == axis, 0.0, 0.5)
-            second = np.zeros(laid[0][1][axis].shape, bool)
-            second[tuple(place.T)] = weights(middle) >= 0.5
-            low, high = (union.face(which, axis, laid[which][1][axis]) for which in range(2))
-            faces.append(np.where(second, high, low).astype(np.int32))
-            seconds.append(second)
-        count = np.zeros(mask.shape, np.int64)
-        for axis, second in enumerate(seconds):
-            for side in (slice(None, -1), slice(1, None)):
-                count += second[tuple(side if a == axis else slice(None) for a in range(3))]
-        self.own = np.where(~mask, -1, np.where(count == 0, 0, np.where(count == 6, 1, 2))).astype(np.int8)
-        self.between = np.argwhere(self.own == 2)
-        first, second_set = laid[0][0], laid[1][0] + union.interiors[0]
-        interior = np.where(self.own == 0, first, np.where(self.own == 1, second_set, -1)).astype(np.int32)
-        interior[tuple(self.between.T)] = sum(union.interiors) + np.arange(len(self.between))
-        self._arrays = TilingArrays(interior, (faces[0], faces[1], faces[2]), False, HALO)
-
-    def around(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Pores on the faces of a transition cell, and axis, side and color of each face."""
-        place = self.between[number]
-        faces = np.array(
-            [
-                (axis, side, self._arrays.faces[axis][tuple(place + side * np.eye(3, dtype=np.int64)[axis])])
-                for axis in range(3)
-                for side in range(2)
-            ]
-        )
-        points = [self._union.face_points((axis, side, color)) for axis, side, color in faces.tolist()]
-        return np.concatenate(points), faces
-
-    def tiling(self, cells: list[Transition]) -> Tiling:
-        """Both sets, and the transition cells."""
-        tileset = TileSet(self._union.microstructure(cells), "fresh", 0)
-        return Tiling(tileset, self._arrays, self._edge, self._origin)
-
-
-class Sized:
-    """Where both sets lie whose cells differ in size; each large cell belongs to one of them. See `OneSize`."""
-
-    def __init__(
-        self, context: Context, sets: JoinedSets, mask: NDArray[np.bool_], weights: Weights, edge: float,
-        origin: tuple[float, float, float],
-    ) -> None:  # fmt: skip
-        large = int(sets.per_edge[0] > 1)
-        second = np.zeros(mask.shape, bool)
-        place = np.argwhere(mask)
-        second[tuple(place.T)] = weights(place + 0.5) >= 0.5
-        small = mask & (second if large == 0 else ~second)
-        between = mask & ~small & beside(small)
-        self.own = np.where(~mask, -1, np.where(between, 2, second)).astype(np.int8)
-        self.between = np.argwhere(between)
-        laid: list[Laid] = []
-        for which, (tileset, m) in enumerate(zip(sets.sets, sets.per_edge, strict=True)):
-            region = mask if which == large else refined(small, m)
-            interior, faces = _rule(tileset).lay(context.rng(which), region, tileset)
-            if which == large:
-                interior, faces = np.where(small | between, -1, interior), faces_without(faces, small)
-            laid.append(Laid(interior.astype(np.int32), faces))
-        self._sizes = TwoSizes(sets, (laid[0], laid[1]), edge, origin)
-
-    def around(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Pores on the faces of a transition cell; they say themselves where they are."""
-        place = self.between[number]
-        return self._sizes.points(self._sizes.pores_around(place), place), np.zeros((0, 3), np.int64)
-
-    def tiling(self, cells: list[Transition]) -> Tiling:
-        """Both sets, and the transition cells."""
-        return self._sizes.tiling(cells, self.between)
-
-
-def _rule(tileset: TileSet) -> Tiler:
-    """The tile rule of a set."""
-    if tileset.kind == "wang":
-        from sppm_pipeline.method.stages.tile_wang_3color import WangTiling
-
-        return WangTiling()
-    if tileset.kind == "corner":
-        from sppm_pipeline.method.stages.tile_corner_colors import CornerColorsTiling
-
-        return CornerColorsTiling()
-    from sppm_pipeline.method.stages.tile_free_faces import FreeFacesTiling
-
-    return FreeFacesTiling()
+        return Transition(centers, edges, omega, mu)

@@ -6,12 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline import Length, ScalarField, option, options
 from sppm_pipeline.features.grading.curved_cells import CylinderCells
-from sppm_pipeline.features.grading.warper import Mapped, Warper
+from sppm_pipeline.features.grading.warper import Warper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,11 +25,8 @@ class WarpCylinder(Warper):
     inner_radius: Length = options.inner_radius()
     around: float = option(360.0, help="angle that the box fills around the axis", unit="degrees", above=0, maximum=360)
 
-    def wraps(self, tiling: ScalarField) -> tuple[bool, bool, bool]:
+    def wraps(self, field: ScalarField) -> tuple[bool, bool, bool]:
         return (self.around == 360, False, False)
 
-    def curved(self, tiling: ScalarField) -> CylinderCells:
-        return CylinderCells(tiling.cells, tiling.physical_edge(), self.inner_radius.mm(), math.radians(self.around))
-
-    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
-        return Mapped(*self.curved(tiling).mapped(places))
+    def curved(self, field: ScalarField) -> CylinderCells:
+        return CylinderCells(field.cells, field.physical_edge(), self.inner_radius.mm(), math.radians(self.around))

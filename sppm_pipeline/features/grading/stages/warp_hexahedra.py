@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, ScalarField, Tiling, options
-from sppm_pipeline.features.grading.curved_cells import HexahedralCells
+from sppm_pipeline.features.grading.curved_cells import HexahedralCells, Mapped
 from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, tell_of_order
-from sppm_pipeline.features.grading.warped_field import looks_alike_from_all_sides
-from sppm_pipeline.features.grading.warper import Mapped, Warper
+from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry
+from sppm_pipeline.features.grading.warper import Warper
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.formats.hexahedra_file import Hexahedra, read_hexahedra
 
@@ -85,18 +85,18 @@ class WarpHexahedra(Warper):
         nx, ny, nz = (n - 1 for n in self._corners.shape[:3])
         return (nx, ny, nz) if field.periodic and tuple(field.cells) == (1, 1, 1) else field.cells
 
-    def curved(self, tiling: ScalarField) -> HexahedralCells:
+    def curved(self, field: ScalarField) -> HexahedralCells:
         from sppm_pipeline.features.grading.numerics.hexahedra import mapped_in_block
 
-        if not isinstance(tiling, Tiling) and tiling.periodic and isinstance(self._block, str):
-            if not looks_alike_from_all_sides(tiling):
+        if not isinstance(field, Tiling) and field.periodic and isinstance(self._block, str):
+            if not has_cubic_symmetry(field):
                 raise InputError(
                     f"{self.path.name} is no block of hexahedra ({self._block}), and the cell of the field looks "
                     "different from its sides, so that cells would not fit each other",
                     hint="take a block, or a field with the symmetry of a cube, such as a Schwarz P surface",
                 )
             return HexahedralCells(self._mesh.corners)
-        shape = self._cells(tiling)
+        shape = self._cells(field)
         self._check_cells(shape)
         size = np.array(self._corners.shape[:3]) - 1
         axes = [np.arange(n + 1) * s / n for n, s in zip(shape, size.tolist(), strict=True)]
@@ -115,10 +115,10 @@ class WarpHexahedra(Warper):
                 hint=f"lay as many cells as elements, `cells: {size.tolist()}`, or a multiple along each axis",
             )
 
-    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, field: ScalarField, places: NDArray[np.float64]) -> Mapped:
         from sppm_pipeline.features.grading.numerics.hexahedra import mapped_in_block
 
-        size, cells = np.array(self._corners.shape[:3]) - 1, np.array(tiling.cells)
-        self._check_cells(tiling.cells)
+        size, cells = np.array(self._corners.shape[:3]) - 1, np.array(field.cells)
+        self._check_cells(field.cells)
         points, det = mapped_in_block(self._corners, places * size / cells)
-        return Mapped(points, det * float(np.prod(size / cells)) / tiling.physical_edge() ** 3)
+        return Mapped(points, det * float(np.prod(size / cells)) / field.physical_edge() ** 3)

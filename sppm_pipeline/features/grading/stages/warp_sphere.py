@@ -6,12 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline import ConfigError, Length, ScalarField, option, options
 from sppm_pipeline.features.grading.curved_cells import SphereCells
-from sppm_pipeline.features.grading.warper import Mapped, Warper
+from sppm_pipeline.features.grading.warper import Warper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,13 +31,10 @@ class WarpSphere(Warper):
         if not self.latitudes[0] < self.latitudes[1]:
             raise ConfigError(f"`latitudes: {list(self.latitudes)}` are in the wrong order")
 
-    def wraps(self, tiling: ScalarField) -> tuple[bool, bool, bool]:
+    def wraps(self, field: ScalarField) -> tuple[bool, bool, bool]:
         return (self.around == 360, False, False)
 
-    def curved(self, tiling: ScalarField) -> SphereCells:
+    def curved(self, field: ScalarField) -> SphereCells:
         south, climb = math.radians(self.latitudes[0]), math.radians(self.latitudes[1] - self.latitudes[0])
         around = math.radians(self.around)
-        return SphereCells(tiling.cells, tiling.physical_edge(), self.inner_radius.mm(), around, south, climb)
-
-    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
-        return Mapped(*self.curved(tiling).mapped(places))
+        return SphereCells(field.cells, field.physical_edge(), self.inner_radius.mm(), around, south, climb)

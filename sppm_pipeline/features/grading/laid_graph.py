@@ -1,12 +1,12 @@
-"""A tiling bent to another shape: its pores and tunnels are mapped, and laid again as blocks without faces.
+"""The graph of a tiling, pore by pore, and blocks that hold a graph which was mapped, resized or joined.
 
-Not the field is mapped but the graph, so that tunnels stay straight and kernels round, and nothing can tear.
+The graph is mapped instead of the field, so that tunnels stay straight, kernels stay round, and no seam can form.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
-from sppm_pipeline.features.grading.joined import kernel_sizes
-from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.families.tiler import HALO, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure, finest_pitch, pieces_from_graph
-from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
+from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.length import Cell
@@ -35,8 +33,8 @@ class WarpedTiling(Tiling):
     curved : CurvedCells
         The cells of the structure.
     steepest : 2 floats
-        The largest omega and mu of pores and tunnels in these cells. Those beyond, which are mapped there, too, may be
-        as small as one likes, as towards the axis of a tube, and nobody looks at them.
+        The largest omega and mu of pores and tunnels in these cells. Kernels mapped beyond the cells may be arbitrarily
+        small, as towards the axis of a tube, and do not count.
     """
 
     curved: CurvedCells = field(kw_only=True)
@@ -59,12 +57,8 @@ class WarpedTiling(Tiling):
         return {**super().summary(), "curved_cells": self.curved.count}
 
 
-HALO = 1
-"""Cells around a box that are mapped, too, and blocks around the mapped part: kernels reach in from there."""
-
-
-MOST_BLOCKS = 4_000_000
-"""Blocks of a mapped part, empty ones included; each takes some hundred bytes."""
+MAX_BLOCKS = 4_000_000
+"""Blocks of a mapped part, empty ones included: at about 100 bytes each they take 400 MB."""
 
 
 class LaidGraph(NamedTuple):
@@ -85,6 +79,38 @@ class LaidGraph(NamedTuple):
     omega: NDArray[np.float64]
     edges: NDArray[np.int64]
     mu: NDArray[np.float64]
+
+    def resized(
+        self, profile: str, pores: NDArray[np.float64] | float, tunnels: NDArray[np.float64] | float
+    ) -> LaidGraph:
+        """The graph with the radii of its pores and tunnels multiplied by factors."""
+        omega = self.omega * PORE_PROFILE.scaled_radius(np.asarray(pores))
+        return self._replace(omega=omega, mu=self.mu * TUNNEL_PROFILES[profile].scaled_radius(np.asarray(tunnels)))
+
+
+def joined_graphs(parts: Sequence[LaidGraph]) -> LaidGraph:
+    """Several graphs side by side; edges of each count its own points."""
+    first = np.cumsum([0, *(len(part.points) for part in parts)])
+    edges = [part.edges + begin for part, begin in zip(parts, first, strict=False)]
+    return LaidGraph(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.omega for part in parts]),
+        np.concatenate(edges),
+        np.concatenate([part.mu for part in parts]),
+    )
+
+
+def kernel_sizes(micro: Microstructure) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Parameters omega of the pores and mu of the tunnels, in the order of the graph."""
+    graph, kernels = micro.graph, micro.pieces.kernels
+    # numbers sorted as kernels are tell which kernel is whose
+    order = pieces_from_graph(
+        graph, np.arange(len(graph.pores.centers), dtype=float), np.arange(len(graph.edges), dtype=float), ""
+    ).kernels
+    omega, mu = np.empty_like(kernels.omega), np.empty_like(kernels.mu)
+    omega[order.omega.astype(np.int64)] = kernels.omega
+    mu[order.mu.astype(np.int64)] = kernels.mu
+    return omega, mu
 
 
 @dataclass(frozen=True)
@@ -138,8 +164,7 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
     omega, mu = kernel_sizes(micro)
     pores, shape = graph.pores, sites.pieces[0].shape
     kind_of_piece = pores.axis_of_piece() + 1
-    order = np.argsort(pores.piece, kind="stable")
-    begin = np.searchsorted(pores.piece[order], np.arange(len(kind_of_piece) + 1))
+    order, begin = pores.by_piece
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order)) - begin[pores.piece[order]]
     ends = graph.edges.astype(np.int64)
@@ -237,10 +262,10 @@ def cloud(
     count = np.maximum(np.ceil((box[1] - box[0]) / edge - 1e-9), 1).astype(np.int64)
     origin = (box[0] + box[1] - count * edge) / 2
     shape = count + 2 * HALO
-    if np.prod(shape.astype(float)) > MOST_BLOCKS:
+    if np.prod(shape.astype(float)) > MAX_BLOCKS:
         raise DesignError(
             f"the mapped cells lie in a box of {' x '.join(f'{v:g}' for v in box[1] - box[0])} mm, which takes "
-            f"{np.prod(shape.astype(float)):.3g} blocks of {edge:g} mm; the limit is {MOST_BLOCKS}",
+            f"{np.prod(shape.astype(float)):.3g} blocks of {edge:g} mm; the limit is {MAX_BLOCKS}",
             hint="take a smaller radius or larger cells",
         )
     place = (graph.points - origin) / edge + HALO
@@ -267,14 +292,12 @@ def cloud(
     joined = TunnelGraph(pores, ends, own[ends[:, 1]] - own[ends[:, 0]])
     pieces = pieces_from_graph(joined, graph.omega[order], graph.mu[whole][first], profile)
     micro = Microstructure(Cell(edge, True), joined, pieces, level, exact)
-    x, y, z = (np.full(tuple(shape + np.eye(3, dtype=np.int64)[axis]), -1, np.int32) for axis in range(3))
-    arrays = TilingArrays(blocks.numbers, (x, y, z), False, HALO)
     low = (float(origin[0]), float(origin[1]), float(origin[2]))
-    tileset = TileSet(micro, "scattered", 0)
-    if curved is not None:
-        steepest = (
-            _largest_inside(graph.omega, lambda chosen: graph.points[chosen], curved),
-            _largest_inside(graph.mu, lambda chosen: _along(graph, chosen), curved),
-        )
-        return WarpedTiling(tileset, arrays, edge, low, exact, curved=curved, steepest=steepest)
-    return Tiling(tileset, arrays, edge, low, exact)
+    tiling = without_faces(micro, blocks, HALO, edge, low)
+    if curved is None:
+        return replace(tiling, exact=exact)
+    steepest = (
+        _largest_inside(graph.omega, lambda chosen: graph.points[chosen], curved),
+        _largest_inside(graph.mu, lambda chosen: _along(graph, chosen), curved),
+    )
+    return WarpedTiling(tiling.tileset, tiling.arrays, edge, low, exact, curved=curved, steepest=steepest)
