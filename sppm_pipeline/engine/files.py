@@ -100,8 +100,10 @@ def sync(path: str | Path) -> None:
             os.close(descriptor)
 
 
-def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
+def write_whole(path: Path, text: str, *, durable: bool = True, mode: int | None = None) -> None:
     """Write a text file so that it is there whole or not at all; if `durable`, even if the machine stops.
+
+    Permissions are `mode`, or those of any new file.
 
     Raises
     ------
@@ -111,6 +113,8 @@ def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            if mode is not None:
+                os.chmod(temporary, mode)
             file.write(text)
             file.flush()
             if durable:

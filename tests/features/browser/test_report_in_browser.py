@@ -176,6 +176,26 @@ def test_the_browser_sums_kernels_as_the_program_does(browser, cell):
     assert np.abs(there - wanted).max() <= 1
 
 
+@pytest.mark.parametrize("power", [1, 2, 3, 4])
+def test_the_browser_sums_tunnels_of_any_power(browser, power):
+    page = browser.new_page()
+    page.add_script_tag(path=str(ASSETS / "kernels.js"))
+    n, ends, mu = 24, np.array([[0.3, 0.5, 0.5], [0.7, 0.5, 0.4]]), 12 / 0.25**power  # reaches a quarter of the cell
+    shown = page.evaluate(
+        "([law, tunnels, n]) => [...sumKernels(law, [], tunnels, n)]",
+        [{"power": power, "cutoff": 1e-5}, [*ends.ravel().tolist(), mu], n],
+    )
+    page.close()
+    points = np.stack(np.meshgrid(*((np.arange(n) + 0.5) / n,) * 3, indexing="ij"), -1)
+    along = ends[1] - ends[0]
+    t = np.clip((points - ends[0]) @ along / (along @ along), 0, 1)
+    distance = np.linalg.norm(points - ends[0] - t[..., None] * along, axis=-1)
+    wanted = np.exp(-mu * distance**power)
+    there = np.array(shown).reshape(n, n, n).T
+    inside = wanted > 1e-4
+    assert np.abs(there - wanted)[inside].max() < 1e-3
+
+
 def test_the_browser_sums_any_cells_of_a_tiling(browser, free_tiling):
     page = browser.new_page()
     for name in ("base.js", "data.js", "kernels.js"):

@@ -4,6 +4,7 @@ import contextlib
 import http.client
 import json
 import math
+import socket
 import struct
 import threading
 import time
@@ -291,8 +292,8 @@ def test_saves_at_once_do_not_take_each_other_for_strangers(tmp_path, monkeypatc
     made = Design(RunRequest(str(file), distributions=False), file, 2)
     whole = write_whole
 
-    def slow(path, text):
-        whole(path, text)
+    def slow(path, text, **options):
+        whole(path, text, **options)
         time.sleep(0.05)  # written, and not yet noted
 
     monkeypatch.setattr("sppm_pipeline.features.browser.studio.design.write_whole", slow)
@@ -362,10 +363,61 @@ def test_a_cell_over_the_wire(server, started):
     assert "not started with a file" in json.loads(body)["errors"][0]["message"]
 
 
-def test_nonsense_over_the_wire_is_no_change(server):
+def test_nonsense_over_the_wire_is_refused(server):
     for text in ("", "[]", "[" * (MAX_DEPTH * 1000), "{", "null"):
-        assert asked(server, f"/{server.token}/cell?{urlencode({'changes': text})}"[:60_000])[0] == 200
-    assert asked(server, f"/{server.token}/save", "POST", b'{"changes": [1]}')[0] == 422
+        assert asked(server, f"/{server.token}/cell?{urlencode({'changes': text})}"[:60_000])[0] == 400
+    for path, headers in (
+        (f"/{server.token}///[", {}), (f"/{server.token}/", {"Origin": "http://["}),
+    ):  # fmt: skip
+        assert asked(server, path, **headers)[0] == 400
+
+
+@pytest.mark.parametrize(
+    ("body", "headers", "status"),
+    [
+        (b'{"changes": [1]}', {}, 400),
+        (b'{"anyway": true}', {}, 400),
+        (b"[]", {}, 400),
+        (b'{"changes": {"params.pores"', {}, 400),
+        (b'{"changes": {}}', {"Content-Length": "40"}, 400),
+        (b"{}", {"Content-Length": "1" * 5000}, 413),
+        (b"{}", {"Content-Length": "-2"}, 411),
+        (b"{}", {"Content-Length": "two"}, 411),
+    ],
+    ids=["list", "none", "list alone", "cut short", "shorter than stated", "long number", "negative", "word"],
+)
+def test_a_broken_request_saves_nothing(tmp_path, body, headers, status, capsys):
+    file = tmp_path / "mine.yaml"
+    file.write_text(START, encoding="utf-8")
+    made = Design(RunRequest(str(file), distributions=False), file, 2)
+    made.save({"params.pores": 30})
+    saved = file.read_text(encoding="utf-8")
+    with server_of(made) as served:
+        threading.Thread(target=served.serve_forever, daemon=True).start()
+        with socket.create_connection(("127.0.0.1", served.server_port), timeout=30) as wire:
+            lines = {"Host": "127.0.0.1", "Content-Length": str(len(body)), **headers}
+            head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+            wire.sendall(f"POST /{served.token}/save HTTP/1.1\r\n{head}\r\n".encode() + body)
+            wire.shutdown(socket.SHUT_WR)
+            assert wire.recv(100).split()[1] == str(status).encode()
+        served.shutdown()
+    assert file.read_text(encoding="utf-8") == saved
+    assert not capsys.readouterr().err
+
+
+def test_a_saved_file_keeps_its_permissions_and_links(tmp_path):
+    file, link, twin = (tmp_path / name for name in ("mine.yaml", "link.yaml", "twin.yaml"))
+    file.write_text(START, encoding="utf-8")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    Design(RunRequest(str(link), distributions=False), link, 2).save({"params.pores": 30})
+    assert link.is_symlink()
+    assert "pores: 30" in file.read_text(encoding="utf-8")
+    assert file.stat().st_mode & 0o777 == 0o640
+    twin.hardlink_to(file)
+    Design(RunRequest(str(file), distributions=False), file, 2).save({"params.pores": 31})
+    assert "pores: 31" in twin.read_text(encoding="utf-8")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.yaml", "mine.yaml", "twin.yaml"]
 
 
 def test_only_a_file_that_was_changed_may_be_replaced_all_the_same(tmp_path):

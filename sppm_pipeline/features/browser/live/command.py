@@ -61,7 +61,7 @@ def handler_of(target: Path) -> type[LocalHandler]:
     class Handler(LocalHandler):
         def do_GET(self) -> None:
             if (place := self.place()) is not None:
-                found = not place
+                found = not place.path
                 self.answer(200 if found else 404, "text/html", target.read_bytes() if found else b"404\n")
 
     return Handler

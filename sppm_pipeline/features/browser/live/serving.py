@@ -5,7 +5,7 @@ from __future__ import annotations
 import hmac
 import sys
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from sppm_pipeline.errors import ResourceError
 
@@ -13,26 +13,41 @@ LOCAL = ("127.0.0.1", "localhost")
 
 
 class LocalHandler(BaseHTTPRequestHandler):
-    """Answers only to requests of this machine that have the token in their path."""
+    """Answer only requests of this machine that have the token in their path."""
 
     protocol_version = "HTTP/1.1"
     timeout = 60  # seconds; a browser holds connections open, and each takes a thread
     server: LocalServer
 
-    def place(self) -> str | None:
-        """What is asked for behind the token; None if that is refused, which has then been said."""
-        host = self.headers.get("Host", "").rsplit(":", 1)[0]
-        origin = urlsplit(self.headers.get("Origin") or "http://localhost").hostname
-        token, _, rest = self.path.removeprefix("/").partition("/")
-        # a foreign name that leads here is a page that wants to read this one (DNS rebinding)
-        if (
-            host not in LOCAL
-            or origin not in LOCAL
-            or not hmac.compare_digest(token.encode(), self.server.token.encode())
-        ):
-            self.answer(403, "text/plain", b"403 this page is for those who know its address\n")
+    def place(self) -> SplitResult | None:
+        """The requested path after the token, and its query; None if the request was refused and answered."""
+        try:
+            host = self.headers.get("Host", "").rsplit(":", 1)[0]
+            origin = urlsplit(self.headers.get("Origin") or "http://localhost").hostname
+            token, _, rest = self.path.removeprefix("/").partition("/")
+            # a foreign name that resolves to this server is a page that wants to read this one (DNS rebinding)
+            known = host in LOCAL and origin in LOCAL
+            if known and hmac.compare_digest(token.encode(), self.server.token.encode()):
+                return urlsplit(rest)
+        except ValueError:  # such as an address with half a bracket
+            self.answer(400, "text/plain", b"400 the address or the origin is malformed\n")
             return None
-        return rest
+        self.answer(403, "text/plain", b"403 this page is for those who know its address\n")
+        return None
+
+    def body(self, limit: int) -> bytes | None:
+        """The whole body of a request; None if it was refused and answered."""
+        text = self.headers.get("Content-Length", "")
+        # more digits than the limit has can't be a smaller number, and very many raise an error
+        if not text.isdecimal() or len(text.lstrip("0")) > len(str(limit)) or int(text) > limit:
+            status = 413 if text.isdecimal() else 411
+            self.answer(status, "text/plain", f"{status} a body of at most {limit} bytes, and its length\n".encode())
+            return None
+        body = self.rfile.read(int(text))
+        if len(body) < int(text):
+            self.answer(400, "text/plain", f"400 {len(body)} of {int(text)} bytes have arrived\n".encode())
+            return None
+        return body
 
     def answer(self, status: int, kind: str, body: bytes, headers: tuple[tuple[str, str], ...] = ()) -> None:
         """Send a whole answer that no cache keeps, no other page may hold, and whose address is not passed on."""
@@ -54,7 +69,7 @@ class LocalHandler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def version_string(self) -> str:
-        """Whose pages these are, and no more."""
+        """The name of the program without a version."""
         return "sppm"
 
     def log_message(self, format: str, *args: object) -> None:

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from sppm_pipeline.features.browser.live.page import (
 from sppm_pipeline.features.browser.report.boxes import boxes, duration
 from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart
 from sppm_pipeline.features.browser.report.layers import Layers, layers_of, outputs_of, pictures_of
+from sppm_pipeline.features.browser.report.privacy import without_folders
 from sppm_pipeline.features.browser.report.results import kinds_of, sections_of
 from sppm_pipeline.features.browser.report.sweeps import sweep_context
 from sppm_pipeline.features.browser.report.wiring import wiring_svg
@@ -107,6 +109,7 @@ def report_html(
         )
         view = None
     try:
+        record = without_folders(record)
         context = _context(path, record, view, raw, threads, plugins or load_plugins(distributions=False))
     except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
         raise InputError(
@@ -165,7 +168,7 @@ def _context(
         "provenance": {
             "yaml": _yaml(record.get("config"))[:LONGEST_TEXT],
             "files": files,
-            "findings": found,
+            "findings": [replace(one, detail=without_folders(one.detail)) for one in found],
             "differences": differences(path),
             "platform": _pairs(record.get("platform", {})),
             "versions": _pairs(record.get("versions", {})),
@@ -204,7 +207,7 @@ def _facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("parameters", ", ".join(f"{name} = {shown(value)}" for name, value in record["params"].items()) or "none"),
         ("started", str(record["started"])),
         ("program", f"sppm {versions.get('sppm_pipeline', '?')}, Python {versions.get('python', '?')}"),
-        ("configuration", Path(str(record["file"])).name),  # in which folder is no one's business
+        ("configuration", Path(str(record["file"])).name),
     ]
     return [*facts, ("until", str(record["until"]))] if record.get("until") else facts
 

@@ -14,6 +14,7 @@ from sppm_pipeline.features.browser.live.page import json_block
 from sppm_pipeline.features.browser.report.boxes import duration
 from sppm_pipeline.features.browser.report.charts import line_chart
 from sppm_pipeline.features.browser.report.layers import outputs_of, pictures_of
+from sppm_pipeline.features.browser.report.privacy import without_folders
 from sppm_pipeline.nouns.artifact import shown
 from sppm_pipeline.nouns.report import Box, Curve
 from sppm_pipeline.stage import FAMILIES
@@ -72,7 +73,7 @@ def _table(path: Path) -> list[dict[str, Any]]:
         table = json.loads((path / "sweep.json").read_bytes())
     except (OSError, ValueError, RecursionError):
         return []
-    return [row for row in table if isinstance(row, dict)] if isinstance(table, list) else []
+    return [without_folders(row) for row in table if isinstance(row, dict)] if isinstance(table, list) else []
 
 
 def _names(table: Sequence[Mapping[str, Any]], params: Sequence[str]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import stat
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,7 +22,7 @@ from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.engine.strict_json import jsonable
-from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, SppmError
+from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, ResourceError, SppmError
 from sppm_pipeline.features.browser.live.data import head_of
 from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.studio.controls import Control, controls_of
@@ -203,7 +204,7 @@ class Design:
                 there = None
             if there != self._saved and not anyway:
                 raise Changed(f"{str(self.file)!r} was changed by someone else since it was read")
-            write_whole(self.file, text)
+            _replace(self.file, text)
             self._saved = text
         return text
 
@@ -271,6 +272,19 @@ class Design:
                 yield
             except KeyboardInterrupt:
                 raise Superseded from None
+
+
+def _replace(file: Path, text: str) -> None:
+    """Replace the text of a file, which keeps its permissions; of a link, that of the file it leads to."""
+    target = file.resolve()
+    there = target.stat() if target.exists() else None
+    if there is not None and there.st_nlink > 1:  # a new file would be known by one of its names only
+        try:
+            target.write_text(text, encoding="utf-8", newline="")
+        except OSError as error:
+            raise ResourceError(f"can't write {str(target)!r}: {error.strerror}") from error
+    else:
+        write_whole(target, text, mode=None if there is None else stat.S_IMODE(there.st_mode))
 
 
 def targets_of(plan: Plan) -> list[Target]:

@@ -6,7 +6,7 @@ import json
 import struct
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.features.browser.live.page import (
@@ -59,11 +59,13 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
             place = self.place()
             if place is None:
                 return
-            path, query = urlsplit(place).path, parse_qs(urlsplit(place).query)
-            if not path:
+            if not place.path:
                 self.answer(200, "text/html", page.encode(), (("Content-Security-Policy", rules),))
-            elif path in ("cell", "numbers"):
-                self._made(path, query.get("changes", ["{}"])[0], query.get("target", [""])[0])
+            elif place.path in ("cell", "numbers"):
+                query = parse_qs(place.query, keep_blank_values=True)
+                changes = self._changes(_decoded(query.get("changes", ["{}"])[0]))
+                if changes is not None:
+                    self._made(place.path, changes, query.get("target", [""])[0])
             else:
                 self.answer(404, "text/plain", b"404\n")
 
@@ -71,13 +73,17 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
             place = self.place()
             if place is None:
                 return
-            length = self.headers.get("Content-Length", "")
-            if place != "save" or not length.isdecimal() or int(length) > MAX_BODY:
-                self.answer(404 if place != "save" else 413, "text/plain", b"there is only `save`, of a small body\n")
+            if place.path != "save":
+                self.answer(404, "text/plain", b"404 there is only `save`\n")
                 return
-            asked = _object(self.rfile.read(int(length)))
-            changes = asked.get("changes")
-            changes = changes if isinstance(changes, dict) else {}
+            body = self.body(MAX_BODY)
+            if body is None:
+                return
+            asked = _decoded(body)
+            asked = asked if isinstance(asked, dict) else {}
+            changes = self._changes(asked.get("changes"))
+            if changes is None:
+                return
             try:
                 design.save(changes, anyway=asked.get("anyway") is True)
             except SppmError as error:
@@ -85,8 +91,19 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
             else:
                 self._json(200, {"saved": str(design.file)})
 
-        def _made(self, path: str, text: str, target: str) -> None:
-            changes = _object(text)
+        def _changes(self, value: Any) -> dict[str, Any] | None:
+            """The changes of a request; None if it states none, which was answered then.
+
+            No changes at all are an empty object: whatever else comes is a broken request, and the text that the page
+            began with must not replace the file.
+            """
+            if isinstance(value, dict):
+                return value
+            fault = {"key": "", "stage": "", "hint": "reload the page", "message": "the request states no changes"}
+            self._json(400, {"errors": [fault]})
+            return None
+
+        def _made(self, path: str, changes: dict[str, Any], target: str) -> None:
             try:
                 if path == "numbers":
                     self._json(200, design.numbers(changes, target))
@@ -109,10 +126,9 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
     return LocalServer(port, Handler)
 
 
-def _object(text: str | bytes) -> dict[str, Any]:
-    """A JSON object; an empty one for anything else, which the page never sends."""
+def _decoded(text: str | bytes) -> Any:
+    """The value of a JSON text; None if it is none."""
     try:
-        value = json.loads(text)
+        return json.loads(text)
     except (ValueError, RecursionError):
-        return {}
-    return value if isinstance(value, dict) else {}
+        return None

@@ -3,6 +3,7 @@
 // Radii are multiplied by `pore` and `tunnel`; `shift` is the corner of the kernels' cell in the box.
 function addKernels(sums, [nx, ny, nz], n, periodic, law, pores, tunnels, shift = [0, 0, 0], pore = 1, tunnel = 1) {
   const depth = Math.log(1 / law.cutoff), shape = [nx, ny, nz];
+  const distance = law.power === 2 ? (d2) => d2 : law.power === 1 ? Math.sqrt : (d2) => d2 ** (law.power / 2);
   const at = (i, a) => (periodic ? ((i % shape[a]) + shape[a]) % shape[a] : i);
   const span = (low, high, a) => {
     const first = Math.ceil(low * n - 0.5), last = Math.floor(high * n - 0.5);
@@ -44,7 +45,7 @@ function addKernels(sums, [nx, ny, nz], n, periodic, law, pores, tunnels, shift 
           const px = (i + 0.5) / n - ax;
           const t = Math.max(0, Math.min(1, (px * dx + py * dy + pz * dz) / length2));
           const d2 = (px - t * dx) ** 2 + (py - t * dy) ** 2 + (pz - t * dz) ** 2;
-          if (d2 < reach2) sums[row + at(i, 0)] += Math.exp(-mu * (law.power === 2 ? d2 : Math.sqrt(d2)));
+          if (d2 < reach2) sums[row + at(i, 0)] += Math.exp(-mu * distance(d2));
         }
       }
     }

@@ -1,0 +1,40 @@
+"""Records without the folders of the disk they were made on: reports are mailed, and folders hold names of people."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any
+
+CUT = "…/"
+"""Replaces the folders of an absolute path."""
+
+_ROOT = r"(?:/|~/|[A-Za-z]:[\\/]|\\\\)"
+_QUOTED = re.compile(rf"(?<=['\"`]){_ROOT}[^'\"`\n]*[\\/](?=[^'\"`\n]*['\"`])")  # may hold blanks
+_BARE = re.compile(rf"(?<![\w.:/…~\\'\"`-]){_ROOT}(?:[^\s'\"`,;:()\\/]+[\\/])+")
+
+
+def without_folders(value: Any) -> Any:
+    """A JSON value in whose texts absolute paths are cut to their last name, and without the configuration's folder.
+
+    Relative paths stay: they are those of files of the run, or beside the configuration.
+    """
+    if isinstance(value, Mapping):
+        # `folder` of a recorded configuration is where its relative paths begin
+        config = "sppm" in value
+        return {
+            without_folders(key): without_folders(one) for key, one in value.items() if not (config and key == "folder")
+        }
+    if isinstance(value, (list, tuple)):
+        return [without_folders(one) for one in value]
+    if not isinstance(value, str):
+        return value
+    if "\n" not in value and _is_absolute(value):
+        return CUT + (PurePosixPath(value) if value[0] in "/~" else PureWindowsPath(value)).name
+    return _BARE.sub(CUT, _QUOTED.sub(CUT, value))
+
+
+def _is_absolute(text: str) -> bool:
+    """Test whether a text is one absolute path, which may hold blanks, and not a message that begins with one."""
+    return re.match(rf"{_ROOT}.*[^\\/]$", text) is not None and re.search(r"\s([/~]|[A-Za-z]:[\\/])|: ", text) is None
