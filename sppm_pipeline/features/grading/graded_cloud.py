@@ -10,20 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.graded import (
-    DIRECTION,
+from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
+from sppm_pipeline.features.grading.map_sizes import DIRECTION, graded_radii, metric_at
+from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.rounds import (
     corrected,
     curve_of,
-    graded_radii,
     in_rounds,
-    metric_at,
     of_scattered_boxes,
     recipe_total,
     scattered,
     trial,
 )
-from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.method.families.tiler import HALO, ROOM, TOLD, Scattering, without_faces
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.part.part import Part

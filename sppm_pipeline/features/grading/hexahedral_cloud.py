@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_targets
-from sppm_pipeline.features.grading.graded import (
+from sppm_pipeline.features.grading.laid_graph import WarpedTiling, cloud, laid_graph
+from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.rounds import (
     corrected,
     curve_of,
     in_rounds,
@@ -20,8 +22,6 @@ from sppm_pipeline.features.grading.graded import (
     recipe_total,
     scattered,
 )
-from sppm_pipeline.features.grading.laid_graph import WarpedTiling, cloud, laid_graph
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.method.families.scattered import FilledBlocks
 from sppm_pipeline.method.families.tiler import HALO, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure

@@ -213,4 +213,4 @@ def test_a_level_at_its_bound_is_told_with_the_pores_that_are_missing(bar):
     context = PlainContext(1)
     TuneLocalPorosity(resolution=16).run(context, bar[1], Grading((steps((0.7, 0.5, 0.02)),)))
     assert context.reported["cells_at_bound"] == 1
-    assert any("cell (2, 0, 0)" in text and "pores fewer" in text for text in context.warnings)
+    assert any("cell (2, 0, 0)" in text and "fewer pores" in text for text in context.warnings)

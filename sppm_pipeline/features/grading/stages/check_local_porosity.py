@@ -26,10 +26,10 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
-from sppm_pipeline.features.grading.graded import trial
 from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE, error_summary, filled_cells
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.grid import cell_centers
 

@@ -23,10 +23,10 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.built_in import stage_class
-from sppm_pipeline.features.grading.graded import curve_of, recipe_total, trial
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.rounds import curve_of, recipe_total, trial
 
 TRIED = 6
 """Numbers of pores that are usually tried to cover porosities from .3 to .8."""

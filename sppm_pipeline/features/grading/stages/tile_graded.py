@@ -23,19 +23,11 @@ from sppm_pipeline import (
     option,
     options,
 )
-from sppm_pipeline.features.grading.graded import (
-    check_round,
-    curve_of,
-    graded_radii,
-    in_rounds,
-    of_periodic_cells,
-    recipe_total,
-    sites_of,
-    trial,
-)
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
+from sppm_pipeline.features.grading.map_sizes import check_round, graded_radii, sites_of
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
+from sppm_pipeline.features.grading.rounds import curve_of, in_rounds, of_periodic_cells, recipe_total, trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size

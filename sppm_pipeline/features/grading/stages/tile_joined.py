@@ -22,10 +22,11 @@ from sppm_pipeline import (
     option,
     options,
 )
-from sppm_pipeline.features.grading.graded import check_round, in_rounds
 from sppm_pipeline.features.grading.joined import JoinedSets, Layout, SameSize, Transition, TwoSizes, usual_kernels
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
+from sppm_pipeline.features.grading.map_sizes import check_round
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.rounds import in_rounds
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,10 @@ from sppm_pipeline.features.grading.curved_porosity import (
     curved_targets,
     fit_curved_level,
 )
+from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import (
     HALF_RANGE,
     RAMP,
-    Cells,
     LatticeCells,
     cell_means,
     error_summary,
@@ -44,10 +44,21 @@ from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
 
 LOWEST = 0.05
-"""The lowest level C, a choice."""
+"""The lowest level C: pores are 1.5 times as wide there as at the usual 0.25. Not sensitive: structures close up long before."""
 
 CHECKED = 16
 """Cells, spread over the part, that are measured again on a finer grid."""
+
+
+class _Fitted(NamedTuple):
+    """A field with its level, and the cells that had an equation: names, numbers among all cells, targets and fit."""
+
+    field: LevelField
+    names: list[Any]
+    numbers: NDArray[np.int64]
+    targets: NDArray[np.float64]
+    fit: LevelFit
+    resolution: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,17 +106,39 @@ class TuneLocalPorosity(Stage):
         bare = earlier.base if earlier is not None else inner
         if not isinstance(bare, KernelSum) and bare.periodic:
             raise DesignError("a level varies over the cells of a part", hint="lay the cell by `tile.periodic` first")
+        part = replace(field, base=bare) if isinstance(field, Part) else bare
         curved = curved_cells_of(bare)
-        if curved is not None:
-            return self._curved(context, field, bare, curved, grading)
-        cells = LatticeCells(
-            replace(field, base=bare) if isinstance(field, Part) else bare, self.resolution, context.threads
-        )
+        if curved is None:
+            fitted = self._in_lattice(context, part, bare, earlier, grading)
+        else:
+            fitted = self._in_curved(context, part, bare, curved, grading)
+        tuned = replace(field, base=fitted.field) if isinstance(field, Part) else fitted.field
+        self._warn_of_bounds(context, fitted, bare)
+        finer = fitted.resolution + fitted.resolution // 2 + 1  # no grid of whole multiples, whose errors would agree
+        if curved is None:
+            # some cells, spread over the part, show whether the first grid was fine enough
+            some = fitted.names[:: -(-len(fitted.names) // CHECKED)]
+            measured = LatticeCells(tuned, finer, context.threads, only=some)
+            number = {cell: m for m, cell in enumerate(fitted.names)}
+            which = np.array([number[cell] for cell in measured.cells])
+            found = np.array([measured.porosity(cell) for cell in measured.cells])
+        else:
+            which = np.arange(len(fitted.names))
+            found = CurvedSamples(tuned, curved, finer, context.threads).shares().porosity[fitted.numbers]
+        self._warn_of_errors(context, fitted, which, found - fitted.targets[which], finer)
+        context.report(
+            cells_tuned=len(fitted.targets), cells_at_bound=int(fitted.fit.at_bound.sum()), steps=fitted.fit.steps,
+            **{name: value for name, value in fitted.field.summary().items() if name in ("level_min", "level_max")},
+        )  # fmt: skip
+        return tuned
+
+    def _in_lattice(
+        self, context: Context, part: ScalarField, bare: ScalarField, earlier: LevelField | None, grading: Grading
+    ) -> _Fitted:
+        cells = LatticeCells(part, self.resolution, context.threads)
         if not cells.cells:
             raise DesignError("no cell lies in the part", hint="give smaller cells")
-        edge = bare.physical_edge()
-        where = np.array(cells.cells)
-        targets = cell_means(grading, "porosity", edge, bare.origin_mm, where)
+        targets = cell_means(grading, "porosity", bare.physical_edge(), bare.origin_mm, np.array(cells.cells))
         scale = 1.0
         if bare.sum_level is None:
             scale = float(cells.values([cells.cells[len(cells.cells) // 2]]).std())
@@ -116,20 +149,30 @@ class TuneLocalPorosity(Stage):
             codes, cells.cells, targets, control, bounds, ramp, self.tolerance / 4, self.evaluations, cells.across,
             lambda done, of: context.progress(done, of, "cells compared"),
         )  # fmt: skip
-        made = LevelField(bare, fit.values)
-        tuned = replace(field, base=made) if isinstance(field, Part) else made
-        self._tell_bounds(context, cells.cells, targets, fit, bare)
-        self._check(context, tuned, cells.cells, targets, fit)
-        context.report(
-            cells_tuned=len(cells.cells),
-            cells_at_bound=int(fit.at_bound.sum()),
-            steps=fit.steps,
-            **{name: value for name, value in made.summary().items() if name in ("level_min", "level_max")},
-        )
-        return tuned
+        numbers = np.arange(len(targets))
+        return _Fitted(LevelField(bare, fit.values), cells.cells, numbers, targets, fit, self.resolution)
+
+    def _in_curved(
+        self, context: Context, part: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
+    ) -> _Fitted:
+        n = self._fitting(context, curved)
+        samples = CurvedSamples(part, curved, n, context.threads)
+        targets = curved_targets(grading, "porosity", curved)
+        scale = 1.0
+        if bare.sum_level is None:
+            scale = float(next(samples.found()).value.std())
+        start, half, _, bounds = self._range(bare.sum_level, scale)
+        made, fit, known = fit_curved_level(
+            samples, bare, targets, start, bounds, half / 80, self.tolerance / 4, self.evaluations,
+            lambda done, of: context.progress(done, of, "comparisons of all cells"),
+        )  # fmt: skip
+        numbers = np.flatnonzero(known)
+        names = [dict(zip(curved.columns, name, strict=True)) for name in curved.names[numbers].tolist()]
+        fit = fit._replace(errors=fit.errors[known], at_bound=fit.at_bound[known])
+        return _Fitted(made, names, numbers, targets[known], fit, n)
 
     def _range(self, level: float | None, deviation: float) -> tuple[float, float, float, tuple[float, float]]:
-        """Where to begin, how far values are told apart, how wide a ramp is, and the bounds.
+        """The level to start from, half the range of values that are resolved, the width of the ramp, and the bounds.
 
         Parameters
         ----------
@@ -146,48 +189,6 @@ class TuneLocalPorosity(Stage):
             raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
         return start, HALF_RANGE, RAMP, bounds
 
-    def _curved(
-        self, context: Context, field: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
-    ) -> ScalarField:
-        """Tune bent cells."""
-        n = self._fitting(context, curved)
-        part = replace(field, base=bare) if isinstance(field, Part) else bare
-        samples = CurvedSamples(part, curved, n, context.threads)
-        targets = curved_targets(grading, "porosity", curved)
-        scale = 1.0
-        if bare.sum_level is None:
-            scale = float(next(samples.found()).value.std())
-        start, half, _, bounds = self._range(bare.sum_level, scale)
-        made, fit, known = fit_curved_level(
-            samples, bare, targets, start, bounds, half / 80, self.tolerance / 4, self.evaluations,
-            lambda done, of: context.progress(done, of, "comparisons of all cells"),
-        )  # fmt: skip
-        tuned = replace(field, base=made) if isinstance(field, Part) else made
-        names = [dict(zip(curved.columns, name, strict=True)) for name in curved.names.tolist()]
-        if fit.at_bound.any():
-            worst = int(np.argmax(np.where(fit.at_bound, np.abs(fit.errors), -1)))
-            context.warn(
-                f"the level reaches its bound in {int(fit.at_bound.sum())} of {int(known.sum())} cells; cell "
-                f"{names[worst]} has a porosity of {targets[worst] + fit.errors[worst]:.4f} instead of "
-                f"{targets[worst]:.4f} and needs {'fewer' if fit.errors[worst] > 0 else 'more'} pores"
-            )
-        finer = n + n // 2 + 1
-        errors = (CurvedSamples(tuned, curved, finer, context.threads).shares().porosity - targets)[known]
-        context.report(checked_at=finer, **error_summary(errors))
-        free = np.where(fit.at_bound[known], 0.0, np.abs(errors))
-        if free.max() > self.tolerance:
-            worst = int(np.flatnonzero(known)[free.argmax()])
-            context.warn(
-                f"on a grid of {finer} voxels along an edge {int((free > self.tolerance).sum())} of {len(free)} cells "
-                f"are off by more than {self.tolerance:g}; cell {names[worst]} by {errors[free.argmax()]:+.4f}; a "
-                f"larger `resolution`, such as {2 * n}, comes nearer"
-            )
-        context.report(
-            cells_tuned=int(known.sum()), cells_at_bound=int(fit.at_bound.sum()), steps=fit.steps,
-            **{name: value for name, value in made.summary().items() if name in ("level_min", "level_max")},
-        )  # fmt: skip
-        return tuned
-
     def _fitting(self, context: Context, curved: CurvedCells) -> int:
         """The resolution, or a lower one whose samples fit into memory."""
         from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
@@ -199,41 +200,36 @@ class TuneLocalPorosity(Stage):
             context.warn(f"samples of all cells would not fit into memory; `resolution: {n}` is taken")
         return n
 
-    def _tell_bounds(
-        self, context: Context, cells: Cells, targets: NDArray[np.float64], fit: LevelFit, field: ScalarField
-    ) -> None:
+    def _warn_of_bounds(self, context: Context, fitted: _Fitted, field: ScalarField) -> None:
         """Name the cell that stays farthest from its target because the level would leave its bounds."""
-        if not fit.at_bound.any():
+        errors, targets, at_bound = fitted.fit.errors, fitted.targets, fitted.fit.at_bound
+        if not at_bound.any():
             return
-        worst = int(np.argmax(np.where(fit.at_bound, np.abs(fit.errors), -1)))
-        error, advice = float(fit.errors[worst]), "a wider range of levels"
-        if isinstance(field, Tiling):
+        worst = int(np.argmax(np.where(at_bound, np.abs(errors), -1)))
+        error = float(errors[worst])
+        advice = f"{'fewer' if error > 0 else 'more'} pores"
+        if isinstance(field, Tiling) and not isinstance(field, WarpedTiling):
             # a pore takes the same share of what is solid anywhere, as in the Boolean model
             mean, count = float(targets.mean()), field.tileset.micro.graph.pores.per_cell
             of_a_pore = (1 - targets[worst]) * -math.log1p(-mean) / count
-            wanted = max(1, round(abs(error) / of_a_pore))
-            advice = f"about {wanted} pores {'fewer' if error > 0 else 'more'}"
+            advice = f"about {max(1, round(abs(error) / of_a_pore))} {advice}"
+        elif not isinstance(field, KernelSum):
+            advice = "a wider range of levels"
         context.warn(
-            f"the level reaches its bound in {int(fit.at_bound.sum())} of {len(cells)} cells; cell {cells[worst]} has "
-            f"a porosity of {targets[worst] + error:.4f} instead of {targets[worst]:.4f} and needs {advice}"
+            f"the level reaches its bound in {int(at_bound.sum())} of {len(targets)} cells; cell {fitted.names[worst]} "
+            f"has a porosity of {targets[worst] + error:.4f} instead of {targets[worst]:.4f} and needs {advice}"
         )
 
-    def _check(
-        self, context: Context, tuned: ScalarField, cells: Cells, targets: NDArray[np.float64], fit: LevelFit
+    def _warn_of_errors(
+        self, context: Context, fitted: _Fitted, which: NDArray[np.int64], errors: NDArray[np.float64], finer: int
     ) -> None:
-        """Measure cells on an independent, finer grid."""
-        some = range(0, len(cells), -(-len(cells) // CHECKED))
-        finer = self.resolution + self.resolution // 2 + 1
-        measured = LatticeCells(tuned, finer, context.threads, only=[cells[m] for m in some])
-        number = {cell: m for m, cell in enumerate(cells)}
-        which = [number[cell] for cell in measured.cells]
-        errors = np.array([measured.porosity(cell) for cell in measured.cells]) - targets[which]
+        """Report the errors of some cells on an independent grid, and name the worst if it is beyond the tolerance."""
         context.report(checked_at=finer, **error_summary(errors))
-        free = np.where(fit.at_bound[which], 0.0, np.abs(errors))
+        free = np.where(fitted.fit.at_bound[which], 0.0, np.abs(errors))
         if free.max() > self.tolerance:
             worst = int(free.argmax())
             context.warn(
                 f"on a grid of {finer} voxels along an edge {int((free > self.tolerance).sum())} of {len(which)} cells "
-                f"are off by more than {self.tolerance:g}; cell {measured.cells[worst]} by {errors[worst]:+.4f}; a "
-                f"larger `resolution`, such as {2 * self.resolution}, comes nearer"
+                f"are off by more than {self.tolerance:g}; cell {fitted.names[which[worst]]} by {errors[worst]:+.4f}; "
+                f"a larger `resolution`, such as {2 * fitted.resolution}, comes nearer"
             )

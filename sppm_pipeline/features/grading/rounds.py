@@ -1,4 +1,4 @@
-"""What stages that lay graded cells share: the curve of a recipe, and kernels with sizes that follow maps."""
+"""Graded cells in rounds: porosity over the number of pores from trial cells, then draw, measure and correct."""
 
 from __future__ import annotations
 
@@ -11,15 +11,11 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.local_porosity import error_summary
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve, porosity_curve
-from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import ROOM, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.nouns.pores import PoreSet
-from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
 from sppm_pipeline.stage import Context, Recipe
 
@@ -28,65 +24,14 @@ Made = TypeVar("Made")
 Cells = TypeVar("Cells", bound=Blocks)
 
 STEP = 1.35
-"""Factor between the numbers of pores of a curve: a choice, five of them from a porosity of .2 to one of .5."""
+"""Factor between successive numbers of pores of a curve, a heuristic: five of them cover porosities from 0.2 to 0.5. The
+square of it leaves three points, too few for a cubic; the root doubles the trial cells."""
 
-LONGEST = 20
-"""Numbers of pores that are tried for a curve at the most."""
+MAX_COUNTS = 20
+"""Maximum number of points of a curve."""
 
-WIDER = 0.02
-"""A curve goes on beyond the porosities that are asked for by this much, so that rounds have room."""
-
-
-_AT_A_TIME = 1 << 18
-"""Kernels whose places are looked at together."""
-
-DIRECTION = ("direction_x", "direction_y", "direction_z")
-"""Maps of the vector along which pores are stretched, of any length."""
-
-
-def check_round(grading: Grading, stage: str) -> None:
-    """Check that no map asks for what only scattered cells have.
-
-    Raises
-    ------
-    ConfigError
-        Naming the map.
-    """
-    for name in ("stretch", "spacing"):
-        if name in grading:
-            raise ConfigError(
-                f"`{stage}` lays cells whose faces fit each other, and can't follow the map {name!r}",
-                hint="scatter the pores by `tile.scattered`, or leave the map out",
-            )
-
-
-def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Metrics (n, 6) by the maps `stretch` and `direction_x`, `_y`, `_z` at points (n, 3) mm; None without them.
-
-    A component of the direction that has no map is 0. Where all are 0 nothing is stretched.
-
-    Raises
-    ------
-    ConfigError
-        If there is a stretch without a direction, or a direction without a stretch.
-    """
-    from sppm_pipeline.services.metric import stretched_metric
-
-    given = [name in grading for name in DIRECTION]
-    if "stretch" not in grading:
-        if any(given):
-            raise ConfigError("there is a direction, but no map `stretch`", hint="give it by a `grade` stage")
-        return None
-    if not any(given):
-        raise ConfigError(
-            "there is a map `stretch`, but no direction",
-            hint="give one of the maps direction_x, direction_y, direction_z, or more, by `grade` stages",
-        )
-    parts = [
-        grading[n].at(points) if there else np.zeros(len(points)) for n, there in zip(DIRECTION, given, strict=True)
-    ]
-    direction = np.stack(parts, axis=1)
-    return stretched_metric(grading["stretch"].at(points), direction)
+MARGIN = 0.02
+"""Porosity by which a curve extends beyond the targets, so that rounds can overshoot."""
 
 
 def recipe_total(recipe: Recipe) -> int:
@@ -152,7 +97,7 @@ def curve_of(
     DesignError
         If a target is out of reach.
     """
-    low, high = float(targets.min()) - WIDER, float(targets.max()) + WIDER
+    low, high = float(targets.min()) - MARGIN, float(targets.max()) + MARGIN
     counts: list[int] = []
     porosities: list[float] = []
 
@@ -160,14 +105,14 @@ def curve_of(
         found = [porosity(n, 1 + sample) for sample in range(trials)]
         counts.extend([n] * trials)
         porosities.extend(found)
-        context.progress(len(counts), LONGEST * trials, "trial cells")
+        context.progress(len(counts), MAX_COUNTS * trials, "trial cells")
         return float(np.mean(found))
 
     def widened(n: int, factor: float, enough: Callable[[float], bool]) -> str:
         """Go from n on by a factor until the porosity is enough; why it went no further."""
         try:
             found = probe(n) if n not in counts else float(np.mean(porosities[: counts.count(n)]))
-            while not enough(found) and 0.01 < found < 0.99 and n > FEWEST and len(counts) < LONGEST * trials:
+            while not enough(found) and 0.01 < found < 0.99 and n > FEWEST and len(counts) < MAX_COUNTS * trials:
                 n = max(FEWEST, round(n * factor))
                 found = probe(n)
         except DesignError as error:  # so many pores do not fit, or so few do not make faces
@@ -291,87 +236,3 @@ def of_scattered_boxes(context: Context, recipe: Recipe, resolution: int) -> Cal
         return float((tiling.solid(resolution, context.threads) == 0).mean())
 
     return porosity
-
-
-def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
-    """The cell of each interior, (interiors, 3), counted from that of the box; that within the box, if in many."""
-    interior = arrays.interior
-    sites = np.zeros((int(interior.max()) + 1, 3), np.int64)
-    place = np.argwhere(interior >= 0)
-    inside = ((place >= arrays.halo) & (place < np.array(interior.shape) - arrays.halo)).all(1)
-    for some in (place[~inside], place[inside]):
-        sites[interior[tuple(some.T)]] = some - arrays.halo
-    return sites
-
-
-def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Tiling:
-    """The tiling with pores and tunnels of the sizes and shapes that maps say.
-
-    These are `pore_radius`, `tunnel_radius`, `scale`, and `stretch` with its direction: a kernel measures distances in
-    the metric at its center or, if it is that of a tunnel, in the middle between its ends. Radii are those across the
-    direction.
-
-    Parameters
-    ----------
-    tiling : Tiling
-        Every interior in one place.
-    grading : Grading
-    faces_differ : bool
-        Whether every face pattern is in one place, too; otherwise those keep their sizes.
-
-    Raises
-    ------
-    ConfigError
-        If walls are to be stretched.
-    """
-    from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
-    from sppm_pipeline.services.metric import PLAIN
-
-    maps = [name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION) if name in grading]
-    if not maps or tiling.edge is None:
-        return tiling
-    grading, edge = grading.in_cells(tiling.edge, tiling.origin), tiling.edge
-    micro, arrays = tiling.tileset.micro, tiling.arrays
-    pieces, kernels = micro.pieces, micro.pieces.kernels
-    sites = np.full((len(pieces), 3), np.nan)
-    sites[: pieces.interiors] = sites_of(arrays)
-    if faces_differ:
-        for axis, faces in enumerate(arrays.faces):
-            place = np.argwhere(faces >= 0)
-            sites[pieces.interiors + axis * pieces.colors + faces[tuple(place.T)]] = place - arrays.halo
-    sites[pieces.interiors + 3 * pieces.colors :] = sites[pieces.codes // (6 * pieces.colors)] if pieces.colors else 0
-    box = np.array(arrays.shape, np.float64)
-
-    def shaped(
-        first: NDArray[np.int64], ends: tuple[NDArray[np.float64], ...], name: str, usual: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """Factors of the radii of kernels in the middle of `ends`, and metrics; 1 and plain where no place is known."""
-        n = len(ends[0])
-        factor, metric = np.ones(n), np.tile(PLAIN, (n, 1)) if "stretch" in grading else None
-        for begin in range(0, n, _AT_A_TIME):  # there may be millions
-            part = slice(begin, min(begin + _AT_A_TIME, n))
-            piece = np.searchsorted(first, np.arange(n)[part], side="right") - 1
-            place = np.mean([end[part] for end in ends], axis=0) + sites[piece]
-            known = begin + np.flatnonzero(np.isfinite(place[:, 0]))
-            # what lies beyond the box is like its border
-            at = np.clip(place[known - begin], 0.0, box) * edge + np.array(tiling.origin)
-            if "scale" in grading:
-                factor[known] = grading["scale"].at(at)
-            if name in grading:
-                factor[known] = grading[name].at(at) / (usual * edge)
-            found = metric_at(grading, at)
-            if metric is not None and found is not None:
-                metric[known] = found
-        return factor, None if metric is None else frozen(metric)
-
-    if not micro.additive and "stretch" in grading:
-        raise ConfigError("walls can't be stretched", hint="stretch structures that end with `field.gaussian`")
-    profile = TUNNEL_PROFILES[kernels.profile]
-    usual = PORE_PROFILE.radius(float(np.median(kernels.omega)), micro.level) if len(kernels.omega) else 1.0
-    factor, metric = shaped(pieces.first_pore, (kernels.centers,), "pore_radius", usual)
-    kernels = kernels._replace(omega=frozen(kernels.omega * PORE_PROFILE.scaled_radius(factor)), pore_metric=metric)
-    usual = profile.radius(float(np.median(kernels.mu)), micro.level) if len(kernels.mu) else 1.0
-    factor, metric = shaped(pieces.first_tunnel, (kernels.starts, kernels.ends), "tunnel_radius", usual)
-    kernels = kernels._replace(mu=frozen(kernels.mu * profile.scaled_radius(factor)), tunnel_metric=metric)
-    changed = replace(pieces, kernels=kernels)
-    return replace(tiling, tileset=replace(tiling.tileset, micro=replace(micro, pieces=changed)))

@@ -1,0 +1,149 @@
+"""Sizes and shapes of kernels that follow maps: radii, stretch and its direction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.nouns.artifact import frozen
+
+_AT_A_TIME = 1 << 18
+"""Kernels whose places are evaluated together: 6 MB of places."""
+
+DIRECTION = ("direction_x", "direction_y", "direction_z")
+"""Maps of the vector along which pores are stretched, of any length."""
+
+
+def check_round(grading: Grading, stage: str) -> None:
+    """Check that no map asks for what only scattered cells have.
+
+    Raises
+    ------
+    ConfigError
+        Naming the map.
+    """
+    for name in ("stretch", "spacing"):
+        if name in grading:
+            raise ConfigError(
+                f"`{stage}` lays cells whose faces fit each other, and can't follow the map {name!r}",
+                hint="scatter the pores by `tile.scattered`, or leave the map out",
+            )
+
+
+def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Metrics (n, 6) by the maps `stretch` and `direction_x`, `_y`, `_z` at points (n, 3) mm; None without them.
+
+    A component of the direction that has no map is 0. Where all are 0 nothing is stretched.
+
+    Raises
+    ------
+    ConfigError
+        If there is a stretch without a direction, or a direction without a stretch.
+    """
+    from sppm_pipeline.services.metric import stretched_metric
+
+    given = [name in grading for name in DIRECTION]
+    if "stretch" not in grading:
+        if any(given):
+            raise ConfigError("there is a direction, but no map `stretch`", hint="give it by a `grade` stage")
+        return None
+    if not any(given):
+        raise ConfigError(
+            "there is a map `stretch`, but no direction",
+            hint="give one of the maps direction_x, direction_y, direction_z, or more, by `grade` stages",
+        )
+    parts = [
+        grading[n].at(points) if there else np.zeros(len(points)) for n, there in zip(DIRECTION, given, strict=True)
+    ]
+    direction = np.stack(parts, axis=1)
+    return stretched_metric(grading["stretch"].at(points), direction)
+
+
+def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
+    """The cell of each interior, (interiors, 3), counted from that of the box; that within the box, if in many."""
+    interior = arrays.interior
+    sites = np.zeros((int(interior.max()) + 1, 3), np.int64)
+    place = np.argwhere(interior >= 0)
+    inside = ((place >= arrays.halo) & (place < np.array(interior.shape) - arrays.halo)).all(1)
+    for some in (place[~inside], place[inside]):
+        sites[interior[tuple(some.T)]] = some - arrays.halo
+    return sites
+
+
+def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Tiling:
+    """The tiling with pores and tunnels of the sizes and shapes that maps say.
+
+    These are `pore_radius`, `tunnel_radius`, `scale`, and `stretch` with its direction: a kernel measures distances in
+    the metric at its center or, if it is that of a tunnel, in the middle between its ends. Radii are those across the
+    direction.
+
+    Parameters
+    ----------
+    tiling : Tiling
+        Every interior in one place.
+    grading : Grading
+    faces_differ : bool
+        Whether every face pattern is in one place, too; otherwise those keep their sizes.
+
+    Raises
+    ------
+    ConfigError
+        If walls are to be stretched.
+    """
+    from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+    from sppm_pipeline.services.metric import PLAIN
+
+    maps = [name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION) if name in grading]
+    if not maps or tiling.edge is None:
+        return tiling
+    grading, edge = grading.in_cells(tiling.edge, tiling.origin), tiling.edge
+    micro, arrays = tiling.tileset.micro, tiling.arrays
+    pieces, kernels = micro.pieces, micro.pieces.kernels
+    sites = np.full((len(pieces), 3), np.nan)
+    sites[: pieces.interiors] = sites_of(arrays)
+    if faces_differ:
+        for axis, faces in enumerate(arrays.faces):
+            place = np.argwhere(faces >= 0)
+            sites[pieces.interiors + axis * pieces.colors + faces[tuple(place.T)]] = place - arrays.halo
+    sites[pieces.interiors + 3 * pieces.colors :] = sites[pieces.codes // (6 * pieces.colors)] if pieces.colors else 0
+    box = np.array(arrays.shape, np.float64)
+
+    def shaped(
+        first: NDArray[np.int64], ends: tuple[NDArray[np.float64], ...], name: str, usual: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Factors of the radii of kernels in the middle of `ends`, and metrics; 1 and plain where no place is known."""
+        n = len(ends[0])
+        factor, metric = np.ones(n), np.tile(PLAIN, (n, 1)) if "stretch" in grading else None
+        for begin in range(0, n, _AT_A_TIME):  # there may be millions
+            part = slice(begin, min(begin + _AT_A_TIME, n))
+            piece = np.searchsorted(first, np.arange(n)[part], side="right") - 1
+            place = np.mean([end[part] for end in ends], axis=0) + sites[piece]
+            known = begin + np.flatnonzero(np.isfinite(place[:, 0]))
+            # what lies beyond the box is like its border
+            at = np.clip(place[known - begin], 0.0, box) * edge + np.array(tiling.origin)
+            if "scale" in grading:
+                factor[known] = grading["scale"].at(at)
+            if name in grading:
+                factor[known] = grading[name].at(at) / (usual * edge)
+            found = metric_at(grading, at)
+            if metric is not None and found is not None:
+                metric[known] = found
+        return factor, None if metric is None else frozen(metric)
+
+    if not micro.additive and "stretch" in grading:
+        raise ConfigError("walls can't be stretched", hint="stretch structures that end with `field.gaussian`")
+    profile = TUNNEL_PROFILES[kernels.profile]
+    usual = PORE_PROFILE.radius(float(np.median(kernels.omega)), micro.level) if len(kernels.omega) else 1.0
+    factor, metric = shaped(pieces.first_pore, (kernels.centers,), "pore_radius", usual)
+    kernels = kernels._replace(omega=frozen(kernels.omega * PORE_PROFILE.scaled_radius(factor)), pore_metric=metric)
+    usual = profile.radius(float(np.median(kernels.mu)), micro.level) if len(kernels.mu) else 1.0
+    factor, metric = shaped(pieces.first_tunnel, (kernels.starts, kernels.ends), "tunnel_radius", usual)
+    kernels = kernels._replace(mu=frozen(kernels.mu * profile.scaled_radius(factor)), tunnel_metric=metric)
+    changed = replace(pieces, kernels=kernels)
+    return replace(tiling, tileset=replace(tiling.tileset, micro=replace(micro, pieces=changed)))
