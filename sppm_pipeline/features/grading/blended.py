@@ -1,4 +1,4 @@
-"""A field that goes over from one field to another one, of any kind."""
+"""A field that blends one field into another, of any kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.services.grid import Grid
 
 NODES = 8
-"""Places along a cell edge at which maps are evaluated; in between they are linear. A choice."""
+"""Points along a cell edge at which maps are evaluated, linear in between. A heuristic: maps vary over
+cells, not within them; twice as many points take eight times the evaluations for a quarter of the error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,7 @@ class BlendedField(ScalarField):
         return Grid((x, y, z), (hx, hy, hz), grid.shape)
 
     def _maps(self, grid: Grid, start: int, stop: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The weight, and the score that parts solid from void, (layers, ny, nx)."""
+        """The weight, and the score at the surface of the solid, (layers, ny, nx)."""
         from scipy.special import ndtri
 
         positions = [grid.axis(axis) for axis in range(3)]

@@ -1,4 +1,4 @@
-"""Cells that are bent: where a lattice was mapped to a tube, a shell or hexahedra."""
+"""Bent cells: a lattice mapped to a tube, a shell or hexahedra."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from sppm_pipeline.services.mesh.box_tree import BoxTree
 
 MARGIN = 0.5
-"""How far beyond the outermost cells, in cells, a place can still be told: a choice; surfaces need a voxel of it."""
+"""Distance beyond the outermost cells, in cells, up to which places are continued. A heuristic: surfaces need one voxel
+of it, so that half as much would do from four samples a cell on; more only fills what is cut away."""
 
 _STEP = 1e-5
-"""Half of what derivatives are differences over, in cells."""
+"""Half the step of central differences, in cells: near the cube root of the rounding error, where they are best."""
 
 
 class Places(NamedTuple):
@@ -62,7 +63,7 @@ class CurvedCells(ABC):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What the numbers in a name stand for."""
+        """Meaning of the numbers in a name."""
         return ("i", "j", "k")
 
     @property
@@ -132,7 +133,7 @@ class CurvedCells(ABC):
 
     @property
     def _along_an_edge(self) -> int:
-        """Points along an edge of a cell between which it can't bulge."""
+        """Points along an edge of a cell between which it does not bulge."""
         return 2
 
     @cached_property
@@ -360,7 +361,7 @@ class HexahedralCells(CurvedCells):
 
     @cached_property
     def outer(self) -> OuterHexahedra:
-        """What continues the cells at the faces at which the mesh ends."""
+        """Hexahedra that continue the cells beyond the boundary of the mesh."""
         from sppm_pipeline.features.grading.numerics.hexahedral_mesh import outer_hexahedra
 
         return outer_hexahedra(self.corners, MARGIN)

@@ -26,23 +26,24 @@ if TYPE_CHECKING:
     from sppm_pipeline.features.grading.numerics.cell_level import CellSamples, ControlLattice
 
 POINTS = 4
-"""Points along each axis of a cell at which a map is asked for its mean."""
+"""Points along each axis of a cell whose mean is that of a map over the cell."""
 
 FINER, FINEST = 0.75, 1.5
 """Spacing of the samples between which values are interpolated, over that from which the field may be; and the most of
 them along the smallest cell, over the number of points there: kernels outside of the cells may be finer by far."""
 
 PER_CELL = 3.0
-"""Control points of a level along the shortest edge of any cell: a choice."""
+"""Control points of a level along the shortest edge of any cell. A heuristic: with half as many the
+spline blurs what differs from cell to cell; twice as many take eight times the memory."""
 
-MOST_CONTROL = 2**24
+MAX_CONTROL = 2**24
 """Control points at most; cells that differ more in size get fewer each."""
 
-SLAB, AT_ONCE, FEWEST_LAYERS = 1 << 23, 1 << 21, 4
-"""Samples of the field, and points in cells, that are taken together; and layers of samples at least."""
+SLAB, AT_ONCE, MIN_LAYERS = 1 << 23, 1 << 21, 4
+"""Samples of the field, and points in cells, that are processed together (32 and 50 MB); and the minimum of layers."""
 
 MORE_LAYERS = 3
-"""Layers that cubics need beyond those of a slab."""
+"""Layers beyond those of a slab that cubic interpolation needs."""
 
 
 def curved_cells_of(field: ScalarField) -> CurvedCells | None:
@@ -90,7 +91,7 @@ class Found(NamedTuple):
 
 def _layers_of_a_slab(layer: float) -> int:
     """Layers of so many samples that are taken together."""
-    return max(FEWEST_LAYERS, int(SLAB // max(layer, 1.0)))
+    return max(MIN_LAYERS, int(SLAB // max(layer, 1.0)))
 
 
 def most_samples(nx: float, ny: float, nz: float) -> float:
@@ -181,7 +182,7 @@ class CurvedSamples:
             )  # fmt: skip
 
     def shares(self, progress: Callable[[int, int], None] = lambda done, of: None) -> CellShares:
-        """What of each cell lies in the part, and its porosity."""
+        """Share of each cell in the part, and its porosity."""
         whole, inside, void = np.zeros((3, self.curved.count))
         for some in self.found(progress):
             whole += np.bincount(some.cell, some.volume, self.curved.count)
@@ -218,7 +219,7 @@ def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLat
 
     edge = field.physical_edge()
     smallest = float(np.linalg.svd(curved.frames, compute_uv=False).min())
-    most = math.floor((MOST_CONTROL / math.prod(field.cells)) ** (1 / 3))
+    most = math.floor((MAX_CONTROL / math.prod(field.cells)) ** (1 / 3))
     parts = max(1, min(math.ceil(PER_CELL * edge / smallest), most))
     nx, ny, nz = (parts * n for n in field.cells)
     return ControlLattice((nx, ny, nz), edge / parts, np.array(field.origin_mm)), parts
@@ -243,7 +244,7 @@ def fit_curved_level(
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> CurvedFit:
-    """Choose values at the cells so that each has its porosity; see `numerics.grading.cell_level`.
+    """Choose values at the cells so that each has its porosity; see `numerics.cell_level`.
 
     Raises
     ------

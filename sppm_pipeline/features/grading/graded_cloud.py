@@ -32,7 +32,7 @@ STEEP = 1.0
 """Relative change of the density over one spacing from which a structure can't follow its map."""
 
 AT_A_TIME = 1 << 18
-"""Nodes at which maps are asked for together."""
+"""Nodes at which maps are evaluated together: 6 MB of points."""
 
 FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION)
 """Maps that change what is scattered."""
@@ -132,11 +132,11 @@ class GradedCloud:
 
     def _errors(self, context: Context, places: dict[int, Places], number: int, made: Tiling) -> NDArray[np.float64]:
         rounds, resolution = self.wanted.rounds, self.wanted.resolution
-        # what a coarse grid misses in early rounds the last one, which looks closely, puts right
+        # the last correction uses the full resolution, so that a coarse grid does before it
         n = resolution if number >= rounds - 1 else max(8, resolution // 2)
         cells = self._cells_of(context, made, n, places.get(n))
         places[n] = cells.places
-        # nothing is put right in the end: some cells, spread over all, tell the errors that are left
+        # nothing is corrected after the last round: some cells, spread over all, show the remaining errors
         some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // TOLD))
         place = np.array(cells.cells)
         of = len(place[some])

@@ -50,13 +50,13 @@ class Grader(Stage):
 
     @property
     def factor(self) -> float:
-        """What the values that were given are multiplied by, so that lengths are millimeters."""
+        """Factor of the given values, which makes millimeters of lengths."""
         known = QUANTITIES.get(self.of)
         return UNITS_IN_MM[self.measure] if known is not None and known.unit and self.measure else 1.0
 
     @abstractmethod
     def law(self, context: Context, before: Grading, part: SurfaceMesh | None) -> Law:
-        """What stands behind the map.
+        """Make the law of the map.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class Grader(Stage):
 
 
 OUTSIDE_WARNED = 0.01
-"""Share of the part's box without data that is worth a word. A choice."""
+"""Fraction of the part's box without data from which on a warning is given: below it are rims of voxels."""
 
 
 @dataclass(frozen=True, kw_only=True)

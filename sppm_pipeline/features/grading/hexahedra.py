@@ -1,4 +1,4 @@
-"""What stages share that take meshes of hexahedra: the option of the path, and the mesh as cells."""
+"""Meshes of hexahedra as stages take them: from the file to checked cells, and the size for estimates."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def check_path(path: Path) -> None:
 
 
 def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = None) -> HexahedralMesh:
-    """The mesh of what was read, mm, checked; nodes in another order than expected are told.
+    """The mesh of what was read, mm, checked; a warning names an unexpected order of nodes.
 
     Raises
     ------
@@ -42,22 +42,22 @@ def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = No
             hint="export a mesh of straight hexahedra that meet face to face, none of them flat or turned inside out",
         ) from None
     if context is not None:
-        tell_of_order(mesh, path, context)
+        warn_of_order(mesh, path, context)
     return mesh
 
 
-def tell_of_order(mesh: HexahedralMesh, path: Path, context: Context) -> None:
+def warn_of_order(mesh: HexahedralMesh, path: Path, context: Context) -> None:
     """Warn of nodes in another order than expected."""
     if mesh.turned:
         context.warn(f"the nodes of hexahedra in {path.name} are numbered {mesh.turned}, and are taken so")
 
 
-MOST_BYTES = 64 * 2**20
-"""Larger files are not read for an estimate; 100 000 quadratic elements as text take about so many."""
+MAX_BYTES = 64 * 2**20
+"""Larger files are not read for an estimate; 100 000 quadratic elements as text take about as much."""
 
 
 class MeshSize(NamedTuple):
-    """What an estimate needs to know of a mesh of hexahedra; lengths in mm.
+    """Size of a mesh of hexahedra for an estimate; lengths in mm.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def size_of_mesh(path: Path, unit: str) -> MeshSize:
         If it is no mesh of hexahedra, or is not there.
     """
     there = path.stat()
-    if there.st_size > MOST_BYTES:
+    if there.st_size > MAX_BYTES:
         raise LookupError("the mesh is too large to be read for an estimate")
     return _size_of(path, unit, there.st_size, there.st_mtime_ns)
 

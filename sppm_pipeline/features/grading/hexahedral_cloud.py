@@ -29,12 +29,13 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.stage import Context, Recipe
 
 RIM = 0.75
-"""How far outside of the mesh pores are thrown, too, in cells: kernels reach in from there."""
+"""Distance outside of the mesh, in cells, within which pores are drawn, too: their kernels reach into it."""
 
 CLOSER = 0.85
-"""Factor of the spacing of pores that are added to others: where these have taken the room, more would not fit."""
+"""Factor of the spacing of pores that are added to others, which have filled the space at the full spacing. A
+heuristic: near 1 few darts find room, and far below pores merge."""
 
-_PROBES = 6  # places along a block at which it is asked what part of it lies around the mesh
+_PROBES = 6  # points along a block by which its share around the mesh is measured
 _TRIES = 60  # darts for each pore around the mesh
 
 
@@ -58,7 +59,7 @@ class Surroundings:
 
     @cached_property
     def largest_edges(self) -> NDArray[np.float64]:
-        """What `size_at` is nowhere above in each cell, (m,) mm."""
+        """Upper bounds of `size_at` in each cell, (m,) mm."""
         from sppm_pipeline.features.grading.numerics.hexahedral_determinant import largest_determinants
 
         return self.edges if self.fixed is not None else np.cbrt(largest_determinants(self.curved.corners))
@@ -222,7 +223,7 @@ def _around_the_mesh(
 
 @dataclass(frozen=True)
 class HexahedralCloud:
-    """What is needed to scatter pores in a mesh of hexahedra.
+    """Pores scattered in a mesh of hexahedra, with rounds of corrections.
 
     Attributes
     ----------

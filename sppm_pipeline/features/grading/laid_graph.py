@@ -197,10 +197,10 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
 
 
 _ALONG = np.array([0.5, 0.0, 1.0, 0.25, 0.75])
-"""Places along a tunnel at which it is asked whether it runs through a cell."""
+"""Points along a tunnel by which it is found to run through a cell, the likeliest first."""
 
 _TRIED = 1024
-"""Of the smallest pores and tunnels that are looked at first."""
+"""Number of the smallest pores and tunnels that are tested first; most often one of them lies in a cell."""
 
 
 def _largest_inside(

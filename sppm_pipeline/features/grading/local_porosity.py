@@ -1,4 +1,4 @@
-"""What stages that grade or measure porosity place by place share: targets, cells, and samples of single cells."""
+"""Local porosity on a lattice: targets of cells, which cells there are, and samples of single cells."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Cells = list[tuple[int, int, int]]
 _PLACES, _WEIGHTS = (0.3399810435848563, 0.8611363115940526), (0.6521451548625461, 0.3478548451374538)
 PLACES = np.array([1 - _PLACES[1], 1 - _PLACES[0], 1 + _PLACES[0], 1 + _PLACES[1]]) / 2
 WEIGHTS = np.array([_WEIGHTS[1], _WEIGHTS[0], _WEIGHTS[0], _WEIGHTS[1]]) / 2
-"""Points along a cell edge at which a map is asked for its mean over a cell, and their weights: those of Gauss, by
-which smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
+"""Points along a cell edge and their weights for the mean of a map over a cell: those of Gauss, by
+which means of smooth maps are right to 1 in 100 000, and those of steps between cells exactly."""
 
 LEAST_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
@@ -66,17 +66,18 @@ CELLS_AT_A_TIME = 4096
 """Cells whose means are taken together."""
 
 _MEANS: WeakKeyDictionary[Grading, tuple[tuple[object, ...], NDArray[np.float64]]] = WeakKeyDictionary()
-"""The means that were asked for last: stages that follow each other ask for the same, and distances take their time."""
+"""The last means: consecutive stages need the same ones, and distances from meshes are slow."""
 
 ALONE = 2**20
 """Samples up to which one thread is faster than two."""
 
 HALF_RANGE = 4.0
-"""How far ln G is told apart on either side of ln C where cells are measured: a choice."""
+"""Range of ln G that is resolved on either side of ln C. Not sensitive: the bounds of a level lie within 1.7 of
+the usual ln 0.25, and the range is divided into 65 532 steps."""
 
 RAMP = 1.0
-"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from .3 to .6
-the one with the least error at 32 to 48 samples along an edge."""
+"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from 0.3 to
+0.6 the one with the least error at 32 to 48 samples along an edge."""
 
 
 class Places(NamedTuple):
@@ -195,7 +196,7 @@ class LatticeCells:
         return np.stack([np.minimum(low, high), high], -1)
 
     def values(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.float32]:
-        """What a level is compared with, (n, n, n len(run)) indexed z, y, x: ln G of a sum G of kernels, or the field.
+        """Values to compare with a level, (n, n, n len(run)) indexed z, y, x: ln G of a sum G of kernels, or the field.
 
         In rows before the first and beyond the last sample in the part it may be anything.
 
@@ -231,7 +232,7 @@ class LatticeCells:
         ----------
         cells : list of m cells
         progress : callable
-            Told how many of them have been measured.
+            Called with the number of cells measured so far.
 
         Returns
         -------

@@ -20,13 +20,13 @@ Points = NDArray[np.float64]
 
 
 class Quantity(NamedTuple):
-    """What a map of a known name stands for.
+    """Meaning of a map of a known name.
 
     Attributes
     ----------
     unit : str
     low, high : float
-        What values may be; the ends are excluded unless `closed`.
+        Bounds of allowed values, which are excluded unless `closed`.
     closed : bool
     meaning : str
     """
@@ -108,7 +108,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Law(Artifact):
-    """Base of what stands behind a map: a formula, a table, or data. Implement `at`.
+    """Base of laws behind maps: a formula, a table, or data. Implement `at`.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Law(Artifact):
         return -math.inf, math.inf
 
     def blame(self) -> str:
-        """How messages call it."""
+        """Name for messages."""
         return f"the map {self.name!r}"
 
 
@@ -254,7 +254,7 @@ class Grading(Maps):
         return tuple(law.name for law in self.laws)
 
     def law(self, name: str) -> Law:
-        """What stands behind a map.
+        """The law of a map.
 
         Raises
         ------

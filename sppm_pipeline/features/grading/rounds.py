@@ -24,8 +24,8 @@ Made = TypeVar("Made")
 Cells = TypeVar("Cells", bound=Blocks)
 
 STEP = 1.35
-"""Factor between successive numbers of pores of a curve, a heuristic: five of them cover porosities from 0.2 to 0.5. The
-square of it leaves three points, too few for a cubic; the root doubles the trial cells."""
+"""Factor between successive numbers of pores of a curve, a heuristic: five of them cover porosities from 0.2 to 0.5.
+Its square would leave three points, too few for a cubic; its root doubles the trial cells."""
 
 MAX_COUNTS = 20
 """Maximum number of points of a curve."""

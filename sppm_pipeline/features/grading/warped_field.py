@@ -17,16 +17,16 @@ from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import ordered_map
 
 KEPT_BYTES = 512 * 2**20
-"""Bytes that the samples of cells may take together."""
+"""Maximum number of bytes of the samples of cells."""
 
 VOID = 1.0
-"""The value where no cell is."""
+"""Value outside of all cells."""
 
 BOUND = 4.0
-"""Values are cut off at so many times the largest difference of two samples with the surface between them."""
+"""Values are cut off at this multiple of the largest difference of two samples with the surface between them."""
 
 POINTS = 1 << 16
-"""Points of a layer that are looked at together."""
+"""Points of a layer that are evaluated together: 2 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class WarpedField(ScalarField):
         object.__setattr__(self, "kept", CellCache(max(8, KEPT_BYTES // bytes_of_a_brick)))
 
     def check(self) -> None:
-        """What was bent is in order."""
+        """The bent field is in order."""
         self.base.check()
 
     @property
@@ -177,7 +177,7 @@ def _own_cells(base: ScalarField) -> tuple[int, int, int]:
 
 
 def cells_sampled(base: ScalarField) -> int:
-    """How many cells of a field are sampled when it is bent."""
+    """Number of cells of a field that are sampled when it is bent."""
     nx, ny, nz = _own_cells(base)
     return nx * ny * nz
 

@@ -8,7 +8,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.laws import TableLaw
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.check_local_porosity import CheckLocalPorosity
-from sppm_pipeline.features.grading.stages.tile_graded import SPARE, GradedTiling
+from sppm_pipeline.features.grading.stages.tile_graded import EXTRA_CELLS, GradedTiling
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
@@ -155,7 +155,7 @@ def test_where_faces_hold_nearly_all_pores_of_a_cell_its_level_stays_near_that_o
     tuned = TuneLocalPorosity().run(context, tiling, grading)
     assert np.abs(np.exp(tuned.control) / tiling.solid_below - 1).max() < 0.033
     assert (draws[-1] != [0, 0]) == drawn_anew
-    assert len(draws) <= 1 + 2 + 1 + SPARE // 2 + 1
+    assert len(draws) <= 1 + 2 + 1 + EXTRA_CELLS // 2 + 1
     name = "interiors_with_relaxed_degree"
     assert [values[name] for values in context.log.values.values() if name in values] == [1]
 

@@ -121,7 +121,7 @@ def test_a_mesh_that_changes_is_read_again_and_a_huge_one_not_at_all(tmp_path, m
     monkeypatch.setattr(hexahedra, "read_hexahedra", lambda path: reads.append(path))
     assert ReadHexahedra(path=path).estimate(ONE).cells == 15
     assert not reads
-    monkeypatch.setattr(hexahedra, "MOST_BYTES", 100)
+    monkeypatch.setattr(hexahedra, "MAX_BYTES", 100)
     with pytest.raises(LookupError, match="too large"):
         ReadHexahedra(path=path).estimate(ONE)
 

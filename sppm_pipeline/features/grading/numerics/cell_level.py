@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 SUPPORT = 1.6
-"""How far a cell's weight reaches, in its own size: a choice. The corners of a cube are .87 away, its neighbors 1."""
+"""Reach of a cell's weight, in its own size. A heuristic: the corners of a cube are 0.87 away and its neighbors 1, so
+that weights of 0.8 would leave gaps, and of 3.2 would blur the level over six cells."""
 
 _CELLS_AT_A_TIME = 2000
 
 
 class ControlLattice(NamedTuple):
-    """Where the control points of the spline lie: in the middles of small cells.
+    """Lattice of the control points of the spline, which lie in the middles of small cells.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class ControlLattice(NamedTuple):
 
 
 def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDArray[np.float64]) -> csr_array:
-    """Weights of the cells at each control point, (points, cells), rows adding up to one.
+    """Weights of the cells at each control point, (points, cells); rows add up to one.
 
     Parameters
     ----------
@@ -122,7 +123,7 @@ def means_over_cells(
     blend: csr_array,
     inner: Callable[[int, int], tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> csr_array:
-    """How the mean of the spline over each cell depends on the cells' values, (m, m).
+    """Matrix from the cells' values to the means of the spline over each cell, (m, m).
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def porosities_and_slopes(
         Control points of the spline.
     cells : int
     half_width : float
-        Samples so near to the level tell the slope.
+        Samples within this distance of the level give the slope.
     """
     totals = np.zeros((3, cells))
     padded = np.pad(control, 1, mode="edge")

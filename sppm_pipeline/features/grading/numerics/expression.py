@@ -2,8 +2,8 @@
 
 A formula means what Python means by the same text, with three differences: every number is a float64, so that nothing
 can grow beyond it; truth is 1 and falsehood 0, also of ``and`` and ``or``; and both branches of a condition are
-evaluated. Numbers, known names, operators and calls of the functions below are taken from the syntax tree, and whatever
-else it holds is refused. Length, depth and number of operations are bounded before anything is computed.
+evaluated. Numbers, known names, operators and calls of the functions below are taken from the syntax tree, and
+everything else is refused. Length, depth and number of operations are bounded before anything is computed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
 
-LONGEST, DEEPEST, MOST = 1000, 40, 200
+MAX_LENGTH, MAX_DEPTH, MAX_OPERATIONS = 1000, 40, 200
 """Characters, depth of brackets, and numbers, names and operations of a formula."""
 
 BLOCK = 1 << 14
@@ -91,7 +91,7 @@ _HINTS = {
 
 def names_in(text: str) -> set[str]:
     """The names that a text holds, of variables, functions, and ``and``, ``or``, ..."""
-    return set(_NAME.findall(text[:LONGEST]))
+    return set(_NAME.findall(text[:MAX_LENGTH]))
 
 
 def fault(text: str, at: int, what: str, hint: str | None = None) -> ConfigError:
@@ -107,7 +107,7 @@ def brief(word: str) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """What a name may have been meant to be."""
+    """Hint that names the most similar known name."""
     known = sorted(known)
     close = [name for name in known if name.lower() == word.lower()] or get_close_matches(word, known, 1)
     return f"did you mean {close[0]!r}?" if close else "known are " + ", ".join(known)
@@ -115,9 +115,9 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 def _parsed(text: str) -> ast.expr:
     """The syntax tree of a formula; columns are those of the text without white space in front."""
-    if len(text) > LONGEST:
+    if len(text) > MAX_LENGTH:
         raise ConfigError(
-            f"the formula has {len(text)} characters; the limit is {LONGEST}", hint="write it as several maps"
+            f"the formula has {len(text)} characters; the limit is {MAX_LENGTH}", hint="write it as several maps"
         )
     if match := _MEANINGLESS.search(text):
         raise fault(text, match.start(), f"{match[0]!r} has no meaning in a formula", _HINTS.get(match[0]))
@@ -131,8 +131,8 @@ def _parsed(text: str) -> ast.expr:
         if number.isdigit():  # Python reads no zeros in front
             source = source[: match.start()] + (number.lstrip("0") or "0").ljust(len(number)) + source[match.end() :]
     for at, depth in enumerate(accumulate((c == "(") - (c == ")") for c in text)):
-        if depth > DEEPEST:
-            raise fault(text, at, f"the formula is nested more than {DEEPEST} deep", "write it as several maps")
+        if depth > MAX_DEPTH:
+            raise fault(text, at, f"the formula is nested more than {MAX_DEPTH} deep", "write it as several maps")
     try:
         return ast.parse(source.lstrip(), mode="eval").body
     except SyntaxError as error:
@@ -177,7 +177,7 @@ class Expression:
         self.used: dict[str, int] = {}
         # how many values each operation takes from the stack, and what computes the new one of them, or is it
         self._program: list[tuple[int, Any]] = []
-        self._left = MOST
+        self._left = MAX_OPERATIONS
         self._compile(_parsed(text), frozenset(names))
 
     def _compile(self, node: ast.expr, names: frozenset[str]) -> None:
@@ -188,7 +188,7 @@ class Expression:
         wrong = partial(fault, self.text, at)
         self._left -= 1
         if self._left < 0:
-            raise wrong(f"the formula has more than {MOST} operations", "write it as several maps")
+            raise wrong(f"the formula has more than {MAX_OPERATIONS} operations", "write it as several maps")
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 make = np.float64(value)

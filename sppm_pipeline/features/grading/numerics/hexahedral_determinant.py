@@ -1,4 +1,4 @@
-"""Whether a trilinear hexahedron is turned inside out anywhere: a proof by Bernstein coefficients, not samples.
+"""Proof by Bernstein coefficients, not samples, that a trilinear hexahedron is nowhere inside out.
 
 The determinant of the derivative is a polynomial of degree two along each axis. It lies between the least and the
 largest of its 27 Bernstein coefficients, of which those at the corners are its values there (Johnen, Remacle and
@@ -23,7 +23,7 @@ _LEVELS = 30
 range of the bound, and counts as below.
 """
 
-_MOST = 512
+_MAX_PARTS = 512
 """Parts of a hexahedron that may be undecided at the same time; more are where it is flat along a face."""
 
 _AT_ONCE, _HALVED_AT_ONCE = 4096, 64
@@ -41,7 +41,7 @@ def determinant_coefficients(corners: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def largest_determinants(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the determinant of the derivative is nowhere above in hexahedra (m, 2, 2, 2, 3), (m,)."""
+    """Upper bounds of the determinant of the derivative in hexahedra (m, 2, 2, 2, 3), (m,)."""
     parts = [
         determinant_coefficients(corners[first : first + _AT_ONCE]).max(axis=(1, 2, 3))
         for first in range(0, len(corners), _AT_ONCE)
@@ -50,7 +50,7 @@ def largest_determinants(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def above_throughout(corners: NDArray[np.float64], bounds: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether the determinant of the derivative is above a bound everywhere in a hexahedron.
+    """Test whether the determinant of the derivative is above a bound everywhere in a hexahedron.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def above_throughout(corners: NDArray[np.float64], bounds: NDArray[np.float64]) 
     Returns
     -------
     (m,) bool
-        False also where it comes so near to the bound that a few hundred parts don't tell it from that.
+        False also where it is so close to the bound that a few hundred parts do not decide.
     """
     above = np.ones(len(corners), bool)
     for first in range(0, len(corners), _AT_ONCE):
@@ -74,12 +74,12 @@ def above_throughout(corners: NDArray[np.float64], bounds: NDArray[np.float64]) 
 
 
 def _positive(coefficients: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether polynomials (m, 3, 3, 3) are positive throughout, by halving."""
+    """Test whether polynomials (m, 3, 3, 3) are positive throughout, by halving."""
     positive, owner = np.ones(len(coefficients), bool), np.arange(len(coefficients))
     for level in range(_LEVELS + 1):
         positive[owner[(coefficients[:, ::2, ::2, ::2] <= 0).any(axis=(1, 2, 3))]] = False
         unsure = (coefficients <= 0).any(axis=(1, 2, 3)) & positive[owner]
-        positive &= np.bincount(owner[unsure], minlength=len(positive)) <= _MOST
+        positive &= np.bincount(owner[unsure], minlength=len(positive)) <= _MAX_PARTS
         unsure &= positive[owner]
         coefficients, owner = coefficients[unsure], owner[unsure]
         if level == _LEVELS or not len(owner):

@@ -1,4 +1,4 @@
-"""Meshes of hexahedra of any shape: whether they fit together, where they end, and finer ones within them."""
+"""Meshes of hexahedra of any shape: checks, boundary, refinement."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class HexahedralMesh(NamedTuple):
         Nodes of the faces at which the mesh ends, normals outwards.
     nodes : (n, 3) float64
     turned : str
-        In which order the file numbers the nodes of hexahedra, if in another one than expected.
+        Order of the nodes in the file, if it is not the expected one.
     """
 
     corners: NDArray[np.float64]
@@ -268,7 +268,7 @@ def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[NDArray[np.flo
 
 
 class OuterHexahedra(NamedTuple):
-    """What continues hexahedra beyond the faces at which a mesh ends.
+    """Hexahedra that continue others beyond the boundary of a mesh.
 
     Attributes
     ----------

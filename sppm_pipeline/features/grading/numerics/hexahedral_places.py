@@ -152,7 +152,7 @@ def _places_in(
 
 @jit
 def _in_box(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
-    """Whether a point lies in the box of eight nodes, to rounding."""
+    """Test whether a point lies in the box of eight nodes, to rounding."""
     for a in range(3):
         low, high = nodes[0, a], nodes[0, a]
         for c in range(1, 8):
@@ -208,7 +208,7 @@ def _newton(nodes: NDArray[np.float64], p: NDArray[np.float64], place: NDArray[n
 
 @jit
 def _beside(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
-    """Whether a point lies farther out across one of a hexahedron's faces than all of its nodes."""
+    """Test whether a point lies farther out across one of a hexahedron's faces than all of its nodes."""
     for face in range(6):
         # nodes are numbered by bits, and those of a face have one in common
         bit, side = 4 >> face // 2, face % 2

@@ -31,14 +31,14 @@ Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
 
 
 class CellCodes:
-    """Values of cells in 16 bits, kept as far as memory goes and asked for again beyond.
+    """Values of cells in 16 bits, kept as far as memory allows, and sampled again beyond.
 
     Parameters
     ----------
     sample : callable
         See `Sample`.
     middle, half : float
-        Values from ``middle - half`` to ``middle + half`` are told apart in 65 532 steps.
+        Values from ``middle - half`` to ``middle + half`` are resolved in 65 532 steps.
     memory : float
         Bytes that may be kept.
     """
@@ -60,7 +60,7 @@ class CellCodes:
 
     @property
     def scaling(self) -> tuple[float, float, float]:
-        """What is taken off, the factor behind it, and the largest code."""
+        """Offset of values, factor, and the largest code."""
         return float(self._middle), float(self._scale), float(_STEPS_OF_CODE)
 
     def of(self, run: Sequence[Cell]) -> list[NDArray[np.int16]]:
@@ -87,8 +87,8 @@ def void_and_slope(
     """Share of each cell that is at or above the level, and the change of this share with the level.
 
     A sample near the level counts in part, by a ramp from half a width below it to half a width above. The mean over
-    levels that far apart which this tells is off by the square of the width; ramps of one and of half the width tell by
-    how much (Richardson). What is left is a third of the noise of counting whole samples: with 48 samples along an edge
+    levels that far apart is off by the square of the width, and ramps of one and of half the width eliminate that
+    (Richardson). The remaining error is a third of the noise of counting whole samples: with 48 samples along an edge
     the share is good to 1 or 2 in 10 000.
 
     Parameters
@@ -103,14 +103,14 @@ def void_and_slope(
     """
     from sppm_pipeline.method.kernels.level_rows import void_at_level
 
-    ramp, told = codes.width(width), []
+    ramp, shares = codes.width(width), []
     for cell, found in zip(run, codes.of(run), strict=True):
         # the cells around, with the outermost ones repeated
         x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
         near = np.ascontiguousarray(control[np.ix_(x, y, z)])
         inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
-        told.append(((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0))
-    return told
+        shares.append(((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0))
+    return shares
 
 
 def fit_level(
@@ -150,7 +150,7 @@ def fit_level(
     threads : int
         Number of threads; the result does not depend on it.
     progress : callable
-        Told how many cells of all have been compared.
+        Called with the number of cells compared so far, and of all.
     """
     place, runs = tuple(np.array(cells).T), runs_along_x(cells, RUN)
     known, wanted = np.zeros(start.shape, bool), np.zeros(start.shape)

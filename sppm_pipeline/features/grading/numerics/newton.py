@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# Heuristics that bound a step where the slope is measured on few samples or vanishes; with half or double the result is
-# the same, as only the path to it differs.
+# Heuristics that bound a step where the slope is measured on few samples or vanishes; with half or double the
+# result agrees within the tolerance, as only the path to it differs.
 _MAX_STEP = 0.25  # of the range between the bounds
 _MIN_CHANGE = 0.05  # of the porosity over all of that range
 

@@ -1,4 +1,4 @@
-"""Values at points and nodes made values everywhere: inverse distances, elements as tetrahedra, smoothing."""
+"""Interpolation of values at points and nodes: inverse distances, elements as tetrahedra, smoothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 NEIGHBORS, POWER = 8, 2
-"""Points that enter a mean by inverse distances (Shepard 1968), and the power of the distance. A choice."""
+"""Points of a mean by inverse distances, and the power of the distance: Shepard (1968) recommends four to ten points
+and the square."""
 
 CORNERS = {
     "tetra": 4, "tetra10": 4, "hexahedron": 8, "hexahedron20": 8, "hexahedron27": 8, "wedge": 6, "wedge15": 6,
@@ -25,7 +26,7 @@ _SPLITS: Mapping[int, list[list[int]]] = {
 }
 """Tetrahedra that fill an element, by its number of corners; those of a hexahedron share a diagonal."""
 
-MOST_PAIRS = 200_000_000
+MAX_PAIRS = 200_000_000
 """Pairs of nodes that smoothing sums over; a tenth of a microsecond each."""
 
 
@@ -60,7 +61,7 @@ def as_tetrahedra(blocks: list[tuple[str, NDArray[np.int64]]]) -> NDArray[np.int
 
 
 def tetrahedra_of(blocks: list[tuple[str, NDArray[np.int64]]]) -> NDArray[np.int64]:
-    """How many tetrahedra `as_tetrahedra` makes of each element, (elements,)."""
+    """Number of tetrahedra that `as_tetrahedra` makes of each element, (elements,)."""
     return np.concatenate([np.full(len(nodes), len(_SPLITS[CORNERS[kind]])) for kind, nodes in blocks])
 
 
@@ -105,10 +106,8 @@ def smoothed(
 
     tree = cKDTree(nodes)
     pairs = int(tree.count_neighbors(tree, 3 * sigma))
-    if pairs > MOST_PAIRS:
-        raise ValueError(
-            f"{pairs:.2g} pairs of nodes lie within 3 x {sigma:g} of each other; up to {MOST_PAIRS:.0e} do"
-        )
+    if pairs > MAX_PAIRS:
+        raise ValueError(f"{pairs:.2g} pairs of nodes lie within 3 x {sigma:g} of each other; up to {MAX_PAIRS:.0e} do")
     step = max(1, int(len(nodes) * 4e6 / max(pairs, 1)))
     means = np.empty(len(nodes))
     for start in range(0, len(nodes), step):

@@ -33,12 +33,12 @@ from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.grid import cell_centers
 
-ROOM = 3
-"""Most cells along an edge of the box in which the noise of a homogeneous structure is measured."""
+NOISE_CELLS = 3
+"""Maximum number of cells along an edge of the box in which the noise of a homogeneous structure is measured."""
 
 
 class BlockMap(NamedTuple):
-    """What is known of each block, all (nx, ny, nz): the share inside, that of void in it, and the wanted one."""
+    """Blocks of the moving window, all (nx, ny, nz): share inside the part, porosity of that, and its target."""
 
     inside: NDArray[np.float64]
     void: NDArray[np.float64]
@@ -46,7 +46,7 @@ class BlockMap(NamedTuple):
 
 
 class CellValues(NamedTuple):
-    """What is known of each cell: what its numbers stand for, these (m, k), and middles (m, 3) mm; the rest is (m,)."""
+    """Cells: meaning of the numbers that name them, these (m, k), centers (m, 3) mm; the rest is (m,)."""
 
     columns: tuple[str, ...]
     numbers: NDArray[np.int64]
@@ -122,7 +122,7 @@ class CheckLocalPorosity(Stage):
             context.report(slope=float(slope), intercept=float(intercept))
         noise = None
         if recipe is not None:
-            cells_along = field.cells if curved is None else (ROOM,) * 3
+            cells_along = field.cells if curved is None else (NOISE_CELLS,) * 3
             noise, at = self._noise(context, recipe, cells_along, _kind(field) == "scattered")
             context.report(noise=noise, noise_at=at)
         law = next((law for law in grading.laws[::-1] if isinstance(law, StiffnessLaw)), None)
@@ -199,7 +199,7 @@ class CheckLocalPorosity(Stage):
         from sppm_pipeline.features.grading.numerics.local_means import BLOCKS, block_counts, smoothed_means
         from sppm_pipeline.method.assembly.contents import TilingArrays
 
-        nx, ny, nz = (min(ROOM, n) for n in cells)
+        nx, ny, nz = (min(NOISE_CELLS, n) for n in cells)
         blocks = Blocks(np.ones((nx, ny, nz), bool), True) if scattered else None
         colors = (0, 0, 0) if scattered else (1, 1, 1)
         micro = trial(context, recipe, None, 1, Palette(nx * ny * nz, colors, blocks=blocks))

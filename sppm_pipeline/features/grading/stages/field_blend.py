@@ -1,4 +1,4 @@
-"""``field.blend``: one structure goes over into another one."""
+"""``field.blend``: blend one structure into another."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sppm_pipeline.services.grid import Grid
 
 @dataclass(frozen=True, kw_only=True)
 class BlendFields(Stage):
-    """Let one structure go over into another one, for instance stochastic cells into a gyroid, without a seam.
+    """Blend one structure into another, for instance stochastic cells into a gyroid, without a seam.
 
     The map `weight` says where: 0 is the first field, 1 the second one. Values are made comparable by their normal
     scores and mixed so that the share of solid is kept; the porosity goes from that of the first field to that of the

@@ -14,8 +14,8 @@ from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.laws import PointsLaw
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 
-MOST_LINEAR = 200_000
-"""Points that Delaunay's tetrahedra are built of: some ten seconds."""
+MAX_LINEAR = 200_000
+"""Maximum number of points of a Delaunay tetrahedralization, which takes about 10 s then."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +59,9 @@ class GradePoints(DataGrader):
 
     def _require_space(self, points: NDArray[np.float64]) -> None:
         hint = "give `interpolation: nearest` or `interpolation: idw`"
-        if len(points) > MOST_LINEAR:
+        if len(points) > MAX_LINEAR:
             raise InputError(
-                f"{len(points)} points are too many for `interpolation: linear`, up to {MOST_LINEAR} are", hint=hint
+                f"{len(points)} points are too many for `interpolation: linear`, up to {MAX_LINEAR} are", hint=hint
             )
         size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 3 else np.zeros(3)
         if not size[-1] > 1e-9 * size[0]:

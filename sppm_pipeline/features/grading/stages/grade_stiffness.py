@@ -29,7 +29,7 @@ from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import curve_of, recipe_total, trial
 
 TRIED = 6
-"""Numbers of pores that are usually tried to cover porosities from .3 to .8."""
+"""Numbers of pores that usually cover porosities from 0.3 to 0.8."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,8 @@ class ReadHexahedra(Stage):
 
     It is the part that `tile.hexahedra` and `warp.hexahedra` fill: give it to `fill.implicit` as the domain. The mesh
     is checked: elements meet face to face, none is flat, inside out or listed twice. Nodes at the same place are taken
-    as one, and nodes that are numbered in another order than VTK's are put in order, with a word. The reader is the
-    library meshio.
+    as one, and nodes that are numbered in another order than VTK's are put in order with a warning. The reader is
+    the library meshio.
     """
 
     name: ClassVar[str] = "read.hexahedra"

@@ -33,17 +33,21 @@ from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size
 from sppm_pipeline.method.families.tileset_maker import check_faces
 
-BESIDE = 0.25
-"""Cell sizes on either side of a face at which the map is asked for its number of pores: a choice."""
+FACE_OFFSET = 0.25
+"""Distance from a face, in cell sizes, at which the map gives its number of pores on either side. A heuristic: the
+middle of each half cell. At 0 a step of the map at a face would count on one side only, at 0.5 a face takes the mean of
+cells."""
 
-WORTH = 0.25
-"""Pores by which an earlier round must have been nearer to its target than the last one for cells to be laid anew."""
+MIN_GAIN = 0.25
+"""Pores by which a cell of an earlier round must be closer to its target than in the last one for another round: less
+than the half pore that rounding leaves anyway."""
 
-FAR = 0.025
-"""Change of the level, of its own size, from which on a cell is drawn once more with the same number of pores."""
+REDRAW_ERROR = 0.025
+"""Relative change of the level, needed to correct the error of a cell, above which it is drawn once more with the same
+number of pores; smaller values redraw more cells."""
 
-SPARE = 12
-"""Cells that further rounds may lay for the sake of those that are far: as many as trials lay, or fewer."""
+EXTRA_CELLS = 12
+"""Cells that further rounds may draw for those that are still far from their targets: no more than the trials draw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +103,7 @@ class GradedTiling(Stage):
         targets = cell_means(grading, "porosity", edge, lattice.origin, wanted)
         if len(targets) > self.limit:
             raise DesignError(
-                f"the part takes {len(targets)} cells, and each would be drawn anew; the limit is {self.limit}",
+                f"the part takes {len(targets)} cells, and each is drawn by itself; the limit is {self.limit}",
                 hint=f"give larger cells, or raise `limit: {len(targets)}`",
             )
         total = recipe_total(recipe)
@@ -161,7 +165,7 @@ class GradedTiling(Stage):
             place = np.argwhere(faces >= 0)
             middle = place - arrays.halo + np.where(np.arange(3) == axis, 0.0, 0.5)
             sides = []
-            for step in (-BESIDE, BESIDE):
+            for step in (-FACE_OFFSET, FACE_OFFSET):
                 points = np.clip(middle + step * np.eye(3)[axis], low, high)
                 values = porosity.at(points * lattice.edge + np.array(lattice.origin))
                 sides.append(curve.pores(np.clip(values, curve.porosities[0], curve.porosities[-1])))
@@ -187,7 +191,7 @@ class GradedTiling(Stage):
 
 
 class _Redraws:
-    """What each round draws: in the first ones pores are added and taken away, then what came nearest is taken.
+    """Palettes of successive rounds: first pores are added and taken away, then the closest draw of each cell is used.
 
     An interior is drawn from its place, its number of pores and the number of its draw, so that an earlier one can be
     had again.
@@ -226,24 +230,24 @@ class _Redraws:
         if self._last or not self._rounds:
             return None
         slope = self._curve.slope(self.totals.astype(np.float64))
-        reach = FAR * _level_reach(self._targets, made.solid_below)
+        reach = REDRAW_ERROR * _level_reach(self._targets, made.solid_below)
         further = number + 1 - self._rounds
         far = measured & (self._nearest > reach)
         if further <= 0:
             more = np.rint(np.where(measured, errors, 0.0) / slope).astype(np.int64)
             totals = np.where(measured, np.maximum(self.totals - more, FEWEST), self.totals)
             return self._with(totals, self._draws, measured & (more == 0) & (size > reach))
-        if further * len(self._targets) <= SPARE and far.any():
+        if further * len(self._targets) <= EXTRA_CELLS and far.any():
             return self._with(self._best_totals, self._best_draws, far)
-        if (size <= self._nearest + WORTH * slope)[measured].all():
+        if (size <= self._nearest + MIN_GAIN * slope)[measured].all():
             return None
         self._last = True
         return self._with(self._best_totals, self._best_draws, np.zeros(len(size), bool))
 
-    def _with(self, totals: NDArray[np.int64], draws: NDArray[np.int64], anew: NDArray[np.bool_]) -> Palette:
-        """The palette of so many pores and of these draws, but of cells `anew` such as have never been drawn."""
-        self._drawn = self._drawn + anew
-        self.totals, self._draws = totals, np.where(anew, self._drawn, draws)
+    def _with(self, totals: NDArray[np.int64], draws: NDArray[np.int64], redrawn: NDArray[np.bool_]) -> Palette:
+        """The palette of these numbers of pores and draws; cells `redrawn` get a draw not used before."""
+        self._drawn = self._drawn + redrawn
+        self.totals, self._draws = totals, np.where(redrawn, self._drawn, draws)
         return replace(self._palette, totals=self.totals, draws=self._draws)
 
 

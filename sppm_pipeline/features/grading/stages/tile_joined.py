@@ -32,11 +32,12 @@ from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
 
 TIGHTER = 0.93
-"""Factor of the spacing where the pores of a transition cell found no room: a choice."""
+"""Factor of the spacing after the pores of a transition cell did not fit. Not sensitive: it is applied until they fit,
+at most 60 times; a smaller step costs more attempts and keeps the spacing larger."""
 
 
 class Usual(NamedTuple):
-    """What is usual in a set: pores of an interior, their spacing, parameters of kernels, porosity."""
+    """Averages of a set: pores of an interior, their spacing, parameters of kernels, porosity."""
 
     pores: float
     spacing: float
@@ -50,7 +51,7 @@ class JoinedTiling(Stage):
     """Lay two tile sets in one part: the map `weight` says where, 0 the first set, 1 the second one.
 
     Every face of the lattice belongs to the set that the weight in its middle is nearer to, and cells with six faces of
-    one set are cells of that set. All others are transition cells: their interiors are drawn anew between the faces
+    one set are cells of that set. All others are transition cells: their interiors are drawn between the faces
     that they touch, with numbers and sizes of pores between those of both sets by weight, and drawn again in rounds
     until they have the porosity between (or that of the map `porosity`, if there is one). No pore or tunnel of either
     set is changed. Where the sets are cut at different levels, so is the result, with a smooth way from one to the
@@ -105,7 +106,7 @@ class JoinedTiling(Stage):
         own, between = layout.own, layout.between
         if len(between) > self.limit:
             raise DesignError(
-                f"{len(between)} cells lie between the sets, and each would be drawn anew; the limit is {self.limit}",
+                f"{len(between)} cells lie between the sets, and each is drawn by itself; the limit is {self.limit}",
                 hint="let the weight go from 0 to 1 on a shorter way, or give larger cells",
             )
         share = weights(between + 0.5)

@@ -8,8 +8,9 @@ from typing import ClassVar
 from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, TileSet
 from sppm_pipeline.features.grading.joined import JoinedSets
 
-MOST_PER_EDGE = 8
-"""Small cells along the edge of a large one at the most: a choice."""
+MAX_PER_EDGE = 8
+"""Maximum number of small cells along the edge of a large one: 512 of them then fill one, and a part of
+both would be all of one kind or the other."""
 
 KINDS = ("free", "wang", "corner")
 
@@ -49,10 +50,10 @@ class JoinTileSets(Stage):
             return (1, 1)
         ratio = max(first, second) / min(first, second)
         m = round(ratio)
-        if abs(ratio - m) > 1e-6 * ratio or m > MOST_PER_EDGE:
+        if abs(ratio - m) > 1e-6 * ratio or m > MAX_PER_EDGE:
             raise ConfigError(
                 f"a cell of the first set is {first:g} mm large, one of the second {second:g} mm; one has to be the "
-                f"other one times a whole number up to {MOST_PER_EDGE}",
+                f"other one times a whole number up to {MAX_PER_EDGE}",
                 hint="change `edge` in the samplers of one recipe, or leave it out for cells of one size",
             )
         return (1, m) if first >= second else (m, 1)

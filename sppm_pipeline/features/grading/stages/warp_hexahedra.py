@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, ScalarField, Tiling, options
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells, Mapped
-from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, tell_of_order
+from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, warn_of_order
 from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry
 from sppm_pipeline.features.grading.warper import Warper
 from sppm_pipeline.nouns.length import UNITS_IN_MM
@@ -28,8 +28,8 @@ class WarpHexahedra(Warper):
 
     The mesh (VTU, VTK, INP or MSH, read by meshio) has to be a block: rows, columns and layers of elements, bent as you
     like. Its first element says which way x, y and z go. It is checked as by `read.hexahedra`; a block whose ends touch
-    stays open there if the file lists their nodes twice. A field that repeats and looks alike from all sides of its
-    cell, such as a Schwarz P surface or struts along the axes, may fill a mesh of any shape, one cell in each element;
+    stays open there if the file lists their nodes twice. A field that repeats and has the symmetry of a cube,
+    such as a Schwarz P surface or struts along the axes, may fill a mesh of any shape, one cell in each element;
     `tile.hexahedra` scatters pores in such a mesh.
     """
 
@@ -77,11 +77,11 @@ class WarpHexahedra(Warper):
 
     def run(self, context: Context, field: ScalarField) -> ScalarField:
         """Read and check the mesh, then map the graph or the field."""
-        tell_of_order(self._mesh, self.path, context)
+        warn_of_order(self._mesh, self.path, context)
         return super().run(context, field)
 
     def _cells(self, field: ScalarField) -> tuple[int, int, int]:
-        """Cells of the box; those of a lone cell that repeats are as many as the elements."""
+        """Cells of the box; those of a single periodic cell are as many as the elements."""
         nx, ny, nz = (n - 1 for n in self._corners.shape[:3])
         return (nx, ny, nz) if field.periodic and tuple(field.cells) == (1, 1, 1) else field.cells
 
