@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """A read-only, C-contiguous version of `array`; copies only if somebody else could still write to it."""
+    """A read-only, C-contiguous version of `array`; copies only if the data could still be written to."""
     array = np.ascontiguousarray(array)
     if array.flags.writeable:
         if array.base is not None or not array.flags.owndata:
@@ -147,7 +147,7 @@ class Artifact:
         return f"{type(self).__name__}({', '.join(parts)})"
 
     def picture(self) -> NDArray[np.uint8] | None:
-        """What notebooks show of it, (height, width, 3) uint8; None for what has no picture of its own."""
+        """Picture for notebooks, (height, width, 3) uint8; None for types without one."""
         return None
 
     @classmethod

@@ -14,7 +14,7 @@ from sppm_pipeline.nouns.artifact import Artifact
 class Maps(Artifact):
     """Base of artifacts by which scattered pores vary from place to place.
 
-    `tile.scattered` takes them and knows no more of them, so that it needs nothing of whoever supplies them.
+    `tile.scattered` takes them without importing the feature that makes them.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Maps(Artifact):
 class KeptPores:
     """Pores of scattered blocks that are there already, handed over to the sampler that adds more to them.
 
-    There may be millions, which whoever asks for more pores does not hold any longer once they are handed over.
+    There may be millions: the caller drops them once they are handed over, so that they are held only once.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class StretchedBlocks(Blocks):
 class Palette:
     """The interiors and face patterns that samplers and connectors have to supply.
 
-    A lone periodic cell asks for one interior and one color. Interior t may meet any color on each of its six
+    A single periodic cell asks for one interior and one color. Interior t may meet any color on each of its six
     sides, unless `meetings` lists the combinations that occur.
 
     Attributes
@@ -145,7 +145,7 @@ class Palette:
     face_totals: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def key(self, interior: int) -> tuple[int, ...]:
-        """What the generator of an interior's pores is made of, beside the run's seed and the stage."""
+        """Key of the generator of an interior's pores, beside the run's seed and the stage."""
         draw = 0 if self.draws is None else int(self.draws[interior])
         return (interior, draw) if draw else (interior,)
 

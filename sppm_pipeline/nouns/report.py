@@ -263,7 +263,7 @@ class Report(Artifact):
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether an entry of a recorded summary is a finite number."""
+    """Test whether an entry of a recorded summary is a finite number."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 

@@ -140,7 +140,7 @@ class Geometry:
         return self.kernels * (self.patches * resolution**3 if commensurate and self._patched(resolution) else samples)
 
     def _patched(self, resolution: float) -> bool:
-        """Whether patches are used often enough, and not too large."""
+        """Test whether patches are used often enough, and not too large."""
         patch = (resolution * (1 + 2 * self.reach)) ** 3
         room = BANK * (3 if self.volume >= LASTING_USES * self.patches else 1)
         return self.volume >= USES_OF_A_PATCH * self.patches and 4 * self.patches * patch <= room
@@ -229,4 +229,4 @@ RecipeSize = Callable[..., Size]
 """``recipe(palette, repeats)``: the size of what a recipe makes; its stages are counted `repeats` times."""
 
 ONE = Palette()
-"""The palette of a lone cell."""
+"""The palette of a single cell."""

@@ -2,7 +2,7 @@
 
 Works for every frozen dataclass made of arrays, numbers, strings, tuples, lists, mappings, named tuples and further
 frozen dataclasses, so that a new artifact needs nothing of its own. Fields with ``compare=False`` hold what can be
-worked out again; they start anew. Nothing is pickled: reading a file builds values and calls the constructors of
+computed again; they start empty. Nothing is pickled: reading a file builds values and calls the constructors of
 artifacts, and never anything else.
 
 Arrays of some size have a file each. Small ones, of which a tile set has thousands, share one file, each at a

@@ -12,7 +12,7 @@ from sppm_pipeline.built_in import FEATURES
 
 @dataclass(frozen=True)
 class Viewer:
-    """How artifacts of a type are shown; functions may be given as ``"module:function"``, imported when first used.
+    """Functions that show artifacts of a type; they may be given as ``"module:function"``, imported when first used.
 
     Attributes
     ----------

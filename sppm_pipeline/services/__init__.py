@@ -1,1 +1,1 @@
-"""What the method and the features share: arrays in, arrays out, and pictures; nothing here knows a stage."""
+"""Services of the method and the features: arrays in, arrays out, and pictures; nothing here knows a stage."""

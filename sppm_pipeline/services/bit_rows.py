@@ -1,7 +1,7 @@
 """Layers of solid and void as bits: each row is some words of 64 samples, the first sample the lowest bit.
 
-An eighth of the memory of a byte a sample, and as much less to read for whoever counts, cuts, looks for runs or
-encodes. Bits beyond the end of a row are 0.
+An eighth of the memory of a byte a sample, and as much less to read for counting, cutting, finding runs and
+encoding. Bits beyond the end of a row are 0.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def unpack(bits: NDArray[np.uint64], nx: int, value: int = 1) -> NDArray[np.uint
 
 
 def count(bits: NDArray[np.uint64]) -> int:
-    """How many bits are set; `bits` is C-contiguous."""
+    """Number of set bits; `bits` is C-contiguous."""
     return int(_count(bits.reshape(-1)))
 
 
@@ -97,7 +97,7 @@ def bit_index(bit: np.uint64) -> np.int32:
 
 @inline_jit
 def set_bits(word: np.uint64) -> np.uint64:
-    """How many bits of a word are set; compilers know this pattern and put one instruction for it."""
+    """Number of set bits of a word; compilers know this pattern and emit one instruction for it."""
     pairs = word - ((word >> _ONE) & _TWOS)
     fours = (pairs & _FOURS) + ((pairs >> np.uint64(2)) & _FOURS)
     return (((fours + (fours >> np.uint64(4))) & _EIGHTS) * _COPIES) >> _GATHER_SHIFT

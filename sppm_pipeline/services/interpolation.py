@@ -33,7 +33,7 @@ _BLOCK = np.uint64(BLOCK)
 
 
 class Taps(NamedTuple):
-    """What the samples along one axis are interpolated from.
+    """Coarse samples and weights from which those along one axis are interpolated.
 
     Attributes
     ----------
@@ -229,7 +229,7 @@ def _negative_between_rows(
     start: np.uint64,
     stop: np.uint64,
 ) -> None:
-    """Whether the values of `_between_rows` are negative."""
+    """Signs of the values of `_between_rows`: True where negative."""
     k1, k2, k3, k4, k5 = k + np.uint64(1), k + np.uint64(2), k + np.uint64(3), k + np.uint64(4), k + np.uint64(5)
     w0, w1, w2, w3, w4, w5 = w[y, 0], w[y, 1], w[y, 2], w[y, 3], w[y, 4], w[y, 5]
     for i in range(start, stop):

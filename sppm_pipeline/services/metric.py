@@ -72,7 +72,7 @@ def upper_roots(metric: Metric) -> NDArray[np.float64]:
 
 
 def half_widths(metric: Metric) -> NDArray[np.float64]:
-    """How far the unit balls of metrics reach along x, y, z, (n, 3): ``sqrt(diag(M^-1))``."""
+    """Extents of the unit balls of metrics along x, y, z, (n, 3): ``sqrt(diag(M^-1))``."""
     return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(matrices(metric)), axis1=1, axis2=2)))
 
 

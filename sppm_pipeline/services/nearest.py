@@ -1,4 +1,4 @@
-"""What is nearest to a point or around it: triangles of a surface, elements of a mesh, by a tree of boxes."""
+"""Nearest triangles of a surface, and elements of a mesh around or nearest to points, by a tree of boxes."""
 
 from __future__ import annotations
 

@@ -10,20 +10,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-NARROWEST = 1e-4
-"""A bracket so narrow, as a share of the range, whose ends still differ by too much is a jump: a choice."""
+MIN_BRACKET = 1e-4
+"""Width of a bracket, as a share of the range, at which numbers that still differ too much at its ends are a jump. Ten
+bisections more or less do not change the verdict on a smooth function."""
 
-FINEST = 1 / 16
-"""Share of the range down to which the neighborhood of a best interior value is looked at for a crossing: a choice."""
+MIN_SPACING = 1 / 16
+"""Share of the range down to which the neighborhood of a best interior value is searched for a crossing. Half of it
+costs two evaluations more, and finds narrower peaks."""
 
 STARTS = 3
-"""Points of the first grid from which two targets are approached before they count as out of reach: a choice."""
+"""Points of the first grid from which two targets are approached before they count as out of reach: more starts find
+more local solutions, each at the price of a search."""
 
-SMALLEST_STEP = 0.01
-"""Share of the range; where planes mislead steps so small, numbers are noisy or jump: a choice."""
+MIN_STEP = 0.01
+"""Share of the range; where linear models fail for steps as small as this, numbers are noisy or jump."""
 
-WORTH = 3e-3
-"""A step that is expected to lower the errors of two targets by a smaller share is none: a choice."""
+MIN_GAIN = 3e-3
+"""Smallest relative reduction of the errors of two targets for which a step is tried; a smaller one is lost in the
+noise of random cells."""
 
 Point = tuple[float, ...]
 
@@ -104,7 +108,7 @@ def search(
     trials: dict[Point, Point | None] = {}
 
     def try_out(at: Point) -> bool:
-        """Whether there was an evaluation left for a new point."""
+        """Test whether there was an evaluation left for a new point."""
         if at in trials or len(trials) >= evaluations:
             return False
         numbers = evaluate(at)
@@ -163,7 +167,7 @@ def _one(
         try:
             guess, (left, right) = parameter_for(x, y, target)
         except ValueError:
-            yield _refined(x, y, target, FINEST * (high - low), whole, {at[0] for at in trials}) or "outside"
+            yield _refined(x, y, target, MIN_SPACING * (high - low), whole, {at[0] for at in trials}) or "outside"
             continue
         widths.append(right - left)
         if len(widths) > 3 and widths[-1] > 0.5 * widths[-4]:
@@ -180,7 +184,7 @@ def _one(
             guess = min(max(_whole(guess), left + 1), right - 1)
             yield (guess,) if left < guess < right else "jump"
         else:
-            yield (guess,) if right - left > NARROWEST * (high - low) else "jump"
+            yield (guess,) if right - left > MIN_BRACKET * (high - low) else "jump"
 
 
 def _refined(
@@ -295,7 +299,7 @@ def _two(
             continue
         count += 1
         here, trust = start, 0.5 / max(len(axes[0]) - 1, 1)
-        while trust > SMALLEST_STEP:
+        while trust > MIN_STEP:
             seen.append(scaled(here))
             numbers = trials[here]
             assert numbers is not None
@@ -310,7 +314,7 @@ def _two(
             expected = float(np.linalg.norm(r) - np.linalg.norm(r + slope @ step))
             there = low + np.clip(s + step, 0, 1) * size
             at = tuple(_whole(v) if w else float(v) for v, w in zip(there, whole, strict=False))
-            if at in trials or expected <= WORTH * float(np.linalg.norm(r)):
+            if at in trials or expected <= MIN_GAIN * float(np.linalg.norm(r)):
                 trust /= 4
                 continue
             yield at

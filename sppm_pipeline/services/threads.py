@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 def ordered_map(
     function: Callable[[Item], Result], items: Iterable[Item], threads: int, ahead: int | None = None
 ) -> Iterator[Result]:
-    """``map(function, items)`` by threads that run a bounded number of items ahead of whoever takes the results.
+    """``map(function, items)`` by threads that run a bounded number of items ahead of the consumer of the results.
 
     Items are taken in the caller's thread, and only as many as are needed. Leaving the iterator early cancels what has
     not begun.
@@ -125,7 +125,7 @@ def _helped(work: Callable[[], None]) -> threading.Event:
     done = threading.Event()
     try:
         tasks = _idle.pop()
-    except IndexError:  # nobody waits for a thread that is busy, so calls may be nested
+    except IndexError:  # busy threads are not waited for, so calls may be nested
         tasks = SimpleQueue()
         threading.Thread(target=_help, args=(tasks,), name="sppm-helper", daemon=True).start()
     tasks.put((work, done))

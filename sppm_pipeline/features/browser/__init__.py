@@ -1,4 +1,4 @@
-"""What people look at: reports, the live view, the studio, charts, sheets and tables."""
+"""Reports, the live view, the studio, charts, sheets and tables."""
 
 from __future__ import annotations
 

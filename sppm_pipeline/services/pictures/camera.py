@@ -1,4 +1,4 @@
-"""Where the viewer stands, and where a point of space lands in the picture."""
+"""Position of the viewer, and projection of points into the picture."""
 
 from __future__ import annotations
 

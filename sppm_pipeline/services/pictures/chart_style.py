@@ -1,4 +1,4 @@
-"""How charts by matplotlib look, their texts, and the files they become: PDF, SVG or PNG.
+"""Style, texts and files (PDF, SVG or PNG) of charts by matplotlib.
 
 The same data give the same bytes on every run: the style does not depend on a ``matplotlibrc``, fonts are those that
 come with matplotlib, and files hold neither dates nor versions. Another version of matplotlib may draw other bytes.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Told apart with every kind of color vision (Okabe and Ito 2008, "Color Universal Design"), without its yellow, which
+"""Distinct with every kind of color vision (Okabe and Ito 2008, "Color Universal Design"), without its yellow, which
 is too light for a line on white."""
 
 # No date and no version, so that bytes depend on the data only.

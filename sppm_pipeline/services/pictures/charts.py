@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 _MARKERS = "os^DvPXp"  # one more than colors, so that 56 series differ
 
 MANY = 20
-"""Means over more x than this are a line in a band, instead of markers with error bars: a choice."""
+"""Means over more x than this are drawn as a line in a band, since markers with error bars would touch at usual
+sizes."""
 
 
 class Series(NamedTuple):

@@ -1,8 +1,8 @@
 """Shading of a depth, normal and color buffer: lights, ambient occlusion, antialiasing.
 
-Porous parts are hard to read under plain lights, since every strut looks like every other. What tells a pore from a
-strut is how much of the sky a point sees. Screen-space ambient occlusion estimates it from the depth image: around each
-pixel, points of a half ball above the surface are tested for being behind something that is seen.
+Porous parts are hard to read under plain lights, since every strut looks like every other. A pore differs
+from a strut in how much of the sky a point sees. Screen-space ambient occlusion estimates it from the depth image:
+around each pixel, points of a half ball above the surface are tested for being behind something that is seen.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _RADII = (0.022, 0.11)  # of the height of the picture: the first for creases an
 
 
 class Seen(NamedTuple):
-    """What is seen in each sample of a picture; (h, w) are its height and width times the supersampling.
+    """Surface in each sample of a picture; (h, w) are its height and width times the supersampling.
 
     Attributes
     ----------
@@ -290,7 +290,7 @@ LINEAR = _linear_light(np.arange(256) / 255.0).astype(np.float32)
 
 
 class Hidden(NamedTuple):
-    """How much of the sky each sample does not see, 0 to 1.
+    """Share of the sky hidden from each sample, 0 to 1.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ def execute(args: Namespace) -> int:
 
 
 def is_current(directory: Path, target: Path) -> bool:
-    """Whether a page is the report of the run as it is recorded now."""
+    """Test whether a page is the report of the run as recorded now."""
     from sppm_pipeline.features.browser.report.build import read_record
 
     seal = read_record(directory).get("sha256")

@@ -33,7 +33,7 @@ MAX_TILES = 64
 SLAB_SAMPLES = 2**20
 """Samples taken at a time."""
 
-_BEYOND = 2  # samples; a choice
+_BEYOND = 2  # samples around the box, so that the surface closes inside of the grid; more are empty
 
 _BOX_FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
@@ -117,7 +117,7 @@ def scene_of(
     threads: int = 1,
     max_samples: int = MAX_SAMPLES,
 ) -> Scene:
-    """What is solid of a field, or what a closed mesh bounds.
+    """Solid of a field, or the inside of a closed mesh.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _smooth(field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.float
 
 
 def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
-    """What is solid of a part, without islands if it has none, and the share of these."""
+    """Solid of a part, without the islands that it leaves out, and their share."""
     from sppm_pipeline.features.browser.live.solid_view import Solid
 
     nx, ny, nz = grid.shape

@@ -48,13 +48,13 @@ _ASIDE = (3.1e-5, 1.7e-5)
 # Eight places in a pixel of which no two share a row or column (a solution of the queens' problem), besides its middle.
 _PLACES = (np.stack([np.arange(8), np.array([3, 6, 2, 7, 1, 4, 0, 5])], axis=1) + 0.5) / 8
 
-_SAME_NORMAL = 0.85  # cosine; a choice
+_SAME_NORMAL = 0.85  # cosine (32 degrees); smaller values leave steps on edges, larger ones refine smooth surfaces, too
 _FLAT = np.float32(0.2)  # cosine; surfaces seen at a smaller angle are as good as steep
-_SAME_DEPTH = 0.75  # pixels by which a neighbor may be off the plane of a sample; a choice
+_SAME_DEPTH = 0.75  # pixels off the plane of a sample up to which a neighbor is of the same surface
 
 
 class Solid(NamedTuple):
-    """What is solid: negative samples within a mesh.
+    """Solid: negative samples within a mesh.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def _scene(
 
 
 def _void(solid: Solid) -> NDArray[np.uint8]:
-    """How many blocks away from each block, at least, the next one is that may hold some solid; up to `_FAR`.
+    """Lower bound of the distance of each block, in blocks, to the next one that may hold solid; up to `_FAR`.
 
     Blocks are 2 x 2 x 2 cubes of samples; distances are the largest difference of indices, 0 is the block itself.
     """

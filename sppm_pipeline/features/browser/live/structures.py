@@ -1,4 +1,4 @@
-"""What a browser needs to show a field live: the kernels of a cell, which it sums itself, or samples of eight bits."""
+"""Data of the live view of a field: the kernels of a cell, which the browser sums, or samples of eight bits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ DEPTH = 3.0
 """Sums are kept up to so many levels C: beyond, a byte would be too coarse a step."""
 
 SUMMED = 64
-"""Samples along a cell edge at which the browser sums kernels; a choice, for a third of a second."""
+"""Samples along a cell edge at which the browser sums kernels, in about 0.3 s; twice as many take eight times as
+long."""
 
 FINE = 24
 """Samples along a cell edge at which the browser sums a few cells of a tiling that was sampled more coarsely."""
@@ -144,7 +145,7 @@ def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
 
 
 def _lattice(field: ScalarField) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
-    """What the browser needs to sum the kernels of any few cells of a tiling; None if it can't, or nothing repeats."""
+    """Data to sum the kernels of any few cells of a tiling; None if the browser can't, or nothing repeats."""
     tiling = field.base if isinstance(field, Part) else field
     if not isinstance(tiling, Tiling) or tiling.tileset.kind in ("fresh", "scattered") or not tiling.additive:
         return None
@@ -203,7 +204,7 @@ def _sampled(
     if level is not None:
         inner = inner + np.float32(level)
         return inner, outer, level, DEPTH * level
-    # a field of another kind has no natural end; what is far from its zero on nearly all samples need not be told apart
+    # a field of another kind has no natural end; values beyond nearly all others share one byte
     near = np.abs(inner if outer is None else inner[outer < 0.999])
     return inner, outer, 0.0, float(np.quantile(near, 0.98)) or 1.0
 

@@ -16,7 +16,7 @@ SAMPLES = 3_500_000
 """Samples of a field that is not summed in the browser; packed they take one to two megabytes."""
 
 TRIANGLES = 80_000
-"""Most triangles that are handed to the browser; a choice."""
+"""Maximum number of triangles for the browser, about 2 MB in a report of at most 5 MB."""
 
 STEPS = 65535
 """Steps of a coordinate along the longest edge of the box."""

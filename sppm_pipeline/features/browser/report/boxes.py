@@ -9,8 +9,8 @@ from typing import Any
 from sppm_pipeline.nouns.artifact import Artifact, shown
 from sppm_pipeline.nouns.report import Box, is_number
 
-FAR = 0.003
-"""Porosities that differ by more are shown in red: three times what `tune.porosity` allows unless told."""
+MAX_GAP = 0.003
+"""Porosities that differ by more are shown in red: three times the default tolerance of `tune.porosity`."""
 
 
 def porosities(stages: Sequence[Mapping[str, Any]], view: Mapping[str, Any] | None) -> list[tuple[str, float, str]]:
@@ -59,7 +59,7 @@ def boxes(
     known = porosities(stages, view)
     for what, value, stage in known:
         others = [(name, value - other) for name, other, _ in known if name != what]
-        far = max((abs(gap) for _, gap in others), default=0.0) > FAR
+        far = max((abs(gap) for _, gap in others), default=0.0) > MAX_GAP
         gaps = ", ".join(f"{100 * gap:+.2f} to {name}".replace("-0.00", "+0.00") for name, gap in others)
         note = f"{gaps} ({stage})" if gaps else stage
         made.append(Box(f"porosity: {what}", f"{100 * value:.2f} %", note, far and what != "wanted"))

@@ -38,7 +38,8 @@ from sppm_pipeline.nouns.report import Curve, ReportSection
 HERE = Path(__file__).parent
 
 VIEW_SHARE, LAYERS_SHARE, PICTURES_SHARE = 0.5, 0.3, 0.1
-"""How much of a report the live view, the layers and the pictures may take; a choice."""
+"""Shares of a report that the live view, the layers and the pictures may take. A heuristic: what one leaves unused is not
+added to another; a larger report is a matter of `--max-size`."""
 
 LONGEST_NAME = 300
 """Characters of a name or text that are shown; `run.json` has all of them."""
@@ -62,7 +63,7 @@ def read_record(path: Path) -> dict[str, Any]:
             f"{str(path)!r} holds no run: there is no {RECORD}", hint="name the directory of a run"
         ) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{str(path / RECORD)!r} can't be read: {error}", hint="`sppm verify` tells more") from error
+        raise InputError(f"{str(path / RECORD)!r} can't be read: {error}", hint="see `sppm verify`") from error
     if not isinstance(record, dict) or RECORD_KEY not in record:
         raise InputError(f"{str(path / RECORD)!r} is no record of a run")
     return record
@@ -114,7 +115,7 @@ def report_html(
     except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
         raise InputError(
             f"the record in {str(path)!r} is not as this program writes them: {type(error).__name__}: {error}",
-            hint="`sppm verify` tells whether it was changed",
+            hint="`sppm verify` shows whether it was changed",
         ) from error
     return _rendered(context | {"note": note, "seal": str(record.get("sha256", ""))})
 

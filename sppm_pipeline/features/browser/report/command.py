@@ -51,8 +51,10 @@ def make_report(args: Namespace, target: Path) -> None:
         most = parse_size(args.max_size)
     except ValueError as error:
         raise ConfigError(f"--max-size: {error}") from error
-    if most < LEAST:
-        raise ConfigError(f"--max-size is {args.max_size}; the page itself takes {LEAST // 1000} kB", hint="allow more")
+    if most < MIN_SIZE:
+        raise ConfigError(
+            f"--max-size is {args.max_size}; the page itself takes {MIN_SIZE // 1000} kB", hint="allow more"
+        )
     # what the configuration names is loaded only to run something again: a report runs nothing that came with a run
     of_run(args.directory, target, args, most=most, view=not args.no_view, remake=args.remake, plugins=args.remake)
 
@@ -144,5 +146,5 @@ def open_in_browser(target: Path) -> None:
         print(f"no browser could be started; open {target} yourself", file=sys.stderr)
 
 
-LEAST = 200_000
-"""Bytes that a report without view, layers and pictures may take; a choice."""
+MIN_SIZE = 200_000
+"""Bytes that a report without view, layers and pictures may take: style, script, numbers and texts of a long run."""

@@ -1,4 +1,4 @@
-"""What a report shows of the files of a run: its layers, as they are printed, and its pictures."""
+"""Files of a run in a report: its layers, as they are printed, and its pictures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PICTURE_PIXELS = 1000
 
 MAX_PICTURES = 24
 MAX_OPENED = 2**26
-"""Pixels of a picture that is opened: a choice, for a quarter of a gigabyte."""
+"""Maximum number of pixels of a picture that is decoded, which takes 0.25 GB then."""
 
 
 class Layers(NamedTuple):
@@ -62,7 +62,7 @@ class Layers(NamedTuple):
     solid_mm2: NDArray[np.float64]
 
     def head(self) -> dict[str, Any]:
-        """What the page's script needs to know beside the bytes."""
+        """Description of the bytes for the script of the page."""
         ends = np.cumsum([0, *(len(data) for data in self.files)]).tolist()
         return {
             "count": self.total, "numbers": self.numbers, "ends": ends, "size": list(self.size),

@@ -1,4 +1,4 @@
-"""What results and plugins add to a report: the types that stages made, and the sections of plugins."""
+"""Types of the results of a run, and sections that plugins add to a report."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ MULTIPLES = 48
 
 
 def sweep_context(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """What the template shows of a sweep.
+    """Data of a sweep for the template.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _names(table: Sequence[Mapping[str, Any]], params: Sequence[str]) -> list[st
 
 
 def _rank(name: str) -> int:
-    """Smaller for what sweeps are mostly run for; a choice."""
+    """Rank of a column: low for the results most sweeps are run for, which are charted first."""
     words = ("porosity", "E_relative", "k_mean", "E", "nu", "xi", "volume_mm3", "solid_volume_mm3", "removed_share")
     first, *rest = name.split(".")
     own = rest[1:] if first in FAMILIES and len(rest) > 1 else rest  # without the stage, which may be tune.porosity

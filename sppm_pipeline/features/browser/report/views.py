@@ -1,4 +1,4 @@
-"""Where the live view of a report comes from: a file of ``write.view``, or what the run made last, from the cache."""
+"""Source of the live view of a report: a file of ``write.view``, or the last field of the run, from the cache."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
 
 QUICK = 3.0
-"""Seconds: what took less in the run is made again for a report; a choice."""
+"""Seconds; stages that took less in the run are repeated for a report, slower ones only with `--remake`."""
 
 REMAKE = "`sppm report --remake` runs again what it needs, or add `- {stage: write.view}` to the pipeline"
 
@@ -48,7 +48,8 @@ def live_view(
     outputs : sequence of mapping
         The outputs of the run that lie in its directory.
     request : RunRequest
-        Which plugins may be loaded; by default none, since a report must not run what came with a stranger's run.
+        Which plugins may be loaded; by default none, since a report must not run code that came with the run of another
+        user.
     store : Store, optional
         The cache.
     threads : int
@@ -94,7 +95,7 @@ def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
 
 
 def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | None) -> str:
-    """What would have to run that took long; empty if it is all kept, or was quick."""
+    """Stages that would have to run again and took long; empty if all is cached, or was quick."""
     seconds = {str(stage["id"]): float(stage["seconds"]) for stage in record["stages"] if not stage.get("cached")}
     session = (
         None if store is None else CacheSession(store, lambda stage, words: None, seed=plan.seed, recipes=plan.recipes)

@@ -36,10 +36,10 @@ class WriteChart(Stage):
         choices=("points", "boxes", "means"),
     )
     error: str = option("", help="column with half lengths of the error bars of points; none if empty", column=True)
-    group: str = option("", help="column by whose values the rows are told apart by color; none if empty", column=True)
+    group: str = option("", help="column whose values give rows their color; none if empty", column=True)
     family: str = option("", help="text at which a value of `group` ends; the whole value if empty")
     bound: str = option(
-        "", help="column that is drawn as a dashed line, say of a bound, or as one for each group if these differ",
+        "", help="column that is drawn as a dashed line, for example a bound, or as one for each group if these differ",
         column=True,
     )  # fmt: skip
     hulls: bool = option(False, help="shade the convex hull of the points of each group")
@@ -162,7 +162,7 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _turns(y: np.ndarray) -> int:
-    """How often a line turns from rising to falling or back, by more than rounding."""
+    """Number of turning points of a line, rounding aside."""
     steps = np.diff(y)
     steps = steps[np.abs(steps) > 1e-6 * np.ptp(y)] if len(y) else steps
     return int(np.count_nonzero(np.diff(np.sign(steps))))

@@ -1,4 +1,4 @@
-"""What a page may change of a configuration, from the declarations of the options."""
+"""Controls of the studio: values of a configuration that may be changed, from the declarations of options."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import OptionSpec
 
 SPAN = 4
-"""A slider whose bounds are far goes from this part of a value to this many times it; a choice."""
+"""A slider without near bounds goes from this fraction of a value to this multiple. Not sensitive: any number can be
+typed."""
 
 INSTANT = ("pore_radius", "tunnel_radius", "omega", "mu", "level")
 """Options of `field.gaussian` that the browser shows at once, before the cell is drawn again."""

@@ -53,10 +53,11 @@ pipeline:
 """The configuration that a page begins with if no file is named: 95 pores, a third of the volume solid."""
 
 SAMPLES = 400_000
-"""Samples of what the browser does not sum itself: a choice, for a second."""
+"""Samples of fields that the browser does not sum itself, in about 1 s."""
 
 RESOLUTION = 32
-"""Voxels along a cell edge on which stiffness and connectivity are computed while one waits; a choice."""
+"""Voxels along a cell edge for stiffness and connectivity while the user waits, about 0.3 s; twice as many take eight
+times as long."""
 
 NUMBERS = (
     {"stage": "check.connectivity", "id": "connectivity", "resolution": RESOLUTION, "islands": "keep", "from": "cell"},
@@ -65,7 +66,7 @@ NUMBERS = (
 
 
 class Superseded(Exception):
-    """A newer request has come, and nobody waits for this one."""
+    """A newer request has replaced this one."""
 
 
 class Changed(InputError):
@@ -74,7 +75,7 @@ class Changed(InputError):
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """What of a configuration can be shown: the result of a stage, or of a recipe drawn alone."""
+    """Result of a configuration that can be shown: of a stage, or of a recipe drawn alone."""
 
     recipe: str
     step: str
@@ -82,7 +83,7 @@ class Target:
 
     @property
     def name(self) -> str:
-        """How the page calls it, and asks for it."""
+        """Name on the page and in its requests."""
         return f"recipe {self.recipe}" if self.recipe else self.step
 
 
@@ -140,7 +141,7 @@ class Design:
         return with_values(self.text, {key: value for key, value in changes.items() if key not in same})
 
     def cell(self, changes: Mapping[str, Any], target: str) -> tuple[dict[str, Any], bytes]:
-        """What the changed configuration makes: its text and numbers, and a view file.
+        """Run the changed configuration: its text and numbers, and a view file.
 
         Raises
         ------
@@ -240,7 +241,7 @@ class Design:
         return dataclasses.replace(self._session, request=request, configuration=configuration, unread=unread)
 
     def faults(self, error: SppmError, changes: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """What is wrong, each with the key of its control where that is known, and the stage."""
+        """Errors, each with the key of its control where that is known, and the stage."""
         try:
             at = {(p.line, p.column): key for key, p in reversed(tuple(places(self.text_with(changes)).items()))}
         except SppmError:
@@ -288,7 +289,7 @@ def _replace(file: Path, text: str) -> None:
 
 
 def targets_of(plan: Plan) -> list[Target]:
-    """What can be shown, the best first: a cell of the pipeline, a recipe's, a tile set, and any other field."""
+    """Targets, the best first: a cell of the pipeline, a recipe's, a tile set, and any other field."""
     shown = (ScalarField, TileSet)
     found = [
         Target(recipe, step.id, step.makes)

@@ -19,7 +19,7 @@ KEYS = ("stage", "preset", "sppm")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value stands in a text.
+    """Place of a value in a text.
 
     Attributes
     ----------

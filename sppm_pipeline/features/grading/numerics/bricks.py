@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.services.jit.compiled import jit
 
-BEFORE, AFTER = 1, 2
-"""Samples that a brick holds before its first one and behind its last one."""
+BEFORE = 1
+"""Samples that a brick holds before its first one; cubics need one there and two behind the last."""
 
 
 def interpolate(
