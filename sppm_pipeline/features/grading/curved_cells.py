@@ -11,6 +11,13 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.features.grading.numerics.hexahedral_mesh import outer_hexahedra
+from sppm_pipeline.features.grading.numerics.hexahedral_places import (
+    hexahedron_tree,
+    places_in,
+    points_and_volumes,
+    points_in,
+)
 from sppm_pipeline.nouns.artifact import frozen
 
 if TYPE_CHECKING:
@@ -337,33 +344,23 @@ class HexahedralCells(CurvedCells):
         return ("i", "j", "k") if self.shape is not None else ("hexahedron", "part")
 
     def points(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
-
         return points_in(self.corners, cell, within)[0]
 
     def derivatives(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
-
         return points_in(self.corners, cell, within)[1]
 
     def mapped_with_volume(
         self, cell: NDArray[np.integer], within: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import points_and_volumes
-
         return points_and_volumes(self.corners, cell, within)
 
     @cached_property
     def _tree(self) -> BoxTree:
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import hexahedron_tree
-
         return hexahedron_tree(self.corners)
 
     @cached_property
     def outer(self) -> OuterHexahedra:
         """Hexahedra that continue the cells beyond the boundary of the mesh."""
-        from sppm_pipeline.features.grading.numerics.hexahedral_mesh import outer_hexahedra
-
         return outer_hexahedra(self.corners, MARGIN)
 
     def rim(self, per_axis: int = 5) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -384,19 +381,13 @@ class HexahedralCells(CurvedCells):
     @cached_property
     def _every(self) -> tuple[BoxTree, NDArray[np.float64]]:
         """The cells, and behind them those that continue them: of several that hold a point the first one counts."""
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import hexahedron_tree
-
         every = np.concatenate([self.corners, self.outer.corners])
         return hexahedron_tree(every), every
 
     def places(self, points: NDArray[np.float64]) -> Places:
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import places_in
-
         return Places(*places_in(self._tree, self.corners, points))
 
     def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        from sppm_pipeline.features.grading.numerics.hexahedral_places import places_in
-
         cell, within = places_in(*self._every, points, apart=self.count)
         beyond = np.flatnonzero(cell >= self.count)
         number, outer = cell[beyond] - self.count, self.outer

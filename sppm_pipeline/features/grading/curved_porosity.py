@@ -14,6 +14,15 @@ from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.bricks import cubic_in_layers, linear_in_layers
+from sppm_pipeline.features.grading.numerics.cell_level import (
+    CellSamples,
+    ControlLattice,
+    blending,
+    fit_cells,
+    means_over_cells,
+    porosities_and_slopes,
+)
 from sppm_pipeline.features.grading.numerics.newton import LevelFit
 from sppm_pipeline.features.grading.warped_field import WarpedField
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
@@ -157,8 +166,6 @@ class CurvedSamples:
             progress(stop, self.grid.shape[2])
 
     def _in_slab(self, start: int, stop: int, cells: NDArray[np.int64]) -> Iterator[Found]:
-        from sppm_pipeline.features.grading.numerics.bricks import cubic_in_layers, linear_in_layers
-
         first, last = start - 1, stop + 2
         distance = None
         if isinstance(self.field, Part):
@@ -195,8 +202,6 @@ class CurvedSamples:
         """Samples in the part, and the share of each cell that lies in it; values are ln G of a sum G of kernels, or
         those of the field.
         """
-        from sppm_pipeline.features.grading.numerics.cell_level import CellSamples
-
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
         made, totals = [], np.zeros((2, self.curved.count))
@@ -215,8 +220,6 @@ class CurvedSamples:
 
 def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLattice, int]:
     """The lattice of a level over the cells of a field, and its control points along an edge of these."""
-    from sppm_pipeline.features.grading.numerics.cell_level import ControlLattice
-
     edge = field.physical_edge()
     smallest = float(np.linalg.svd(curved.frames, compute_uv=False).min())
     most = math.floor((MAX_CONTROL / math.prod(field.cells)) ** (1 / 3))
@@ -251,13 +254,6 @@ def fit_curved_level(
     DesignError
         If no cell lies in the part.
     """
-    from sppm_pipeline.features.grading.numerics.cell_level import (
-        blending,
-        fit_cells,
-        means_over_cells,
-        porosities_and_slopes,
-    )
-
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
     blend = blending(lattice, curved.centers, curved.frames)

@@ -24,8 +24,11 @@ from sppm_pipeline.features.grading.rounds import (
 )
 from sppm_pipeline.method.families.tiler import HALO, ROOM, TOLD, Scattering, without_faces
 from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.sampling.graded_blocks import NODES, density_means
 from sppm_pipeline.nouns.palette import Blocks, StretchedBlocks
+from sppm_pipeline.services.metric import PLAIN, determinants
 from sppm_pipeline.stage import Context
 
 STEEP = 1.0
@@ -84,8 +87,6 @@ class GradedCloud:
 
     def laid(self, context: Context) -> Tiling:
         """Scatter, measure, and add and take away pores."""
-        from sppm_pipeline.method.sampling.graded_blocks import density_means
-
         recipe, rounds, mask = self.wanted.recipe, self.wanted.rounds, self.wanted.mask
         total, curve = recipe_total(recipe), None
         density, porosity = self._density(context), self._porosity()
@@ -165,8 +166,6 @@ class GradedCloud:
         Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones, node
         by node; nodes far from all have the value of any.
         """
-        from sppm_pipeline.method.sampling.graded_blocks import NODES
-
         grid = tuple(NODES * n + 1 for n in self.wanted.mask.shape)
         known = np.zeros(grid, bool)
         for x, y, z in (NODES * np.argwhere(self.filled)).tolist():
@@ -193,8 +192,6 @@ class GradedCloud:
 
     def _metric(self) -> NDArray[np.float64] | None:
         """Metrics at the nodes, (..., 6); None where nothing is stretched."""
-        from sppm_pipeline.services.metric import PLAIN
-
         grading = self.grading.in_cells(self.edge, self.origin)
         if metric_at(grading, np.zeros((0, 3))) is None:
             return None
@@ -213,9 +210,6 @@ class GradedCloud:
 
     def _density(self, context: Context) -> NDArray[np.float64]:
         """Density by the sizes of pores alone, at the nodes."""
-        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
-        from sppm_pipeline.services.metric import determinants
-
         grading, name, usual = self.grading.in_cells(self.edge, self.origin), "scale", 1.0
         if "pore_radius" in grading:
             micro = trial(context, self.wanted.recipe, None, 1)
@@ -255,8 +249,6 @@ class GradedCloud:
         return float(pores.spacing)
 
     def _warn_of_steepness(self, context: Context, density: NDArray[np.float64], total: int) -> None:
-        from sppm_pipeline.method.sampling.graded_blocks import NODES
-
         steepest = 0.0
         for axis in range(3):
             for near, far in zip(np.moveaxis(density, axis, 0)[:-1], np.moveaxis(density, axis, 0)[1:], strict=True):

@@ -10,6 +10,7 @@ import numpy as np
 
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
+from sppm_pipeline.features.grading.numerics.hexahedral_mesh import checked_mesh, split
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.formats.hexahedra_file import READERS, Hexahedra, read_hexahedra
 from sppm_pipeline.stage import Context
@@ -32,8 +33,6 @@ def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = No
     InputError
         If elements do not fit together, naming one.
     """
-    from sppm_pipeline.features.grading.numerics.hexahedral_mesh import checked_mesh
-
     try:
         mesh = checked_mesh(read.points * UNITS_IN_MM[unit], read.elements)
     except ValueError as error:
@@ -109,7 +108,5 @@ def cells_of_mesh(
     read: Hexahedra, path: Path, unit: str, parts: int, context: Context | None = None
 ) -> HexahedralCells:
     """The hexahedra of a mesh as cells, each cut into `parts` along each axis."""
-    from sppm_pipeline.features.grading.numerics.hexahedral_mesh import split
-
     corners = mesh_of(read, path, unit, context).corners
     return HexahedralCells(split(corners, (parts,) * 3) if parts > 1 else corners, parts**3)

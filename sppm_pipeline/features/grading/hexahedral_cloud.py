@@ -14,6 +14,8 @@ from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_targets
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling, cloud, laid_graph
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.curved_darts import GrowingCloud
+from sppm_pipeline.features.grading.numerics.hexahedral_determinant import largest_determinants
 from sppm_pipeline.features.grading.rounds import (
     corrected,
     curve_of,
@@ -60,8 +62,6 @@ class Surroundings:
     @cached_property
     def largest_edges(self) -> NDArray[np.float64]:
         """Upper bounds of `size_at` in each cell, (m,) mm."""
-        from sppm_pipeline.features.grading.numerics.hexahedral_determinant import largest_determinants
-
         return self.edges if self.fixed is not None else np.cbrt(largest_determinants(self.curved.corners))
 
     @cached_property
@@ -129,8 +129,6 @@ class HexahedralBlocks(FilledBlocks):
         DesignError
             If the pores of a cell do not fit.
         """
-        from sppm_pipeline.features.grading.numerics.curved_darts import GrowingCloud
-
         if len(base.centers):
             raise ConfigError(
                 "cells of a mesh are filled by one sampler",

@@ -19,6 +19,7 @@ from sppm_pipeline.method.families.tiler import HALO, Tiler
 from sppm_pipeline.method.fields.microstructure import Microstructure, pieces_from_graph
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.method.tiling.lattice import Faces, Laid
@@ -298,8 +299,6 @@ class TwoSizes:
 
 def usual_kernels(micro: Microstructure, m: int) -> tuple[float, float]:
     """Medians of omega and mu of a set in the unit of a cell m times as large."""
-    from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
-
     kernels, factor = micro.pieces.kernels, np.array([1 / m])
     omega = kernels.omega * PORE_PROFILE.scaled_radius(factor)
     return float(np.median(omega)), float(

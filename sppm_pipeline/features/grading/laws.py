@@ -13,8 +13,11 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.maps import BOX_COORDINATES, CELL_COORDINATES, COORDINATES, DISTANCE, Law, Place
 from sppm_pipeline.features.grading.numerics.curve import StiffnessCurve
 from sppm_pipeline.features.grading.numerics.expression import Expression
-from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.features.grading.numerics.samples import by_inverse_distance
+from sppm_pipeline.services.mesh.box_tree import box_tree
+from sppm_pipeline.services.mesh.winding_number import dipoles, winding_numbers
 from sppm_pipeline.services.monotone_cubic import monotone_cubic
+from sppm_pipeline.services.nearest import element_tree, locate, nearest_in, surface_distances
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +93,6 @@ class TableLaw(Law):
     values: NDArray[np.float64]
     kind: str
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "places", frozen(self.places))
-        object.__setattr__(self, "values", frozen(self.values))
-
     def at(self, place: Place) -> NDArray[np.float64]:
         t = place.values(self.along)
         if self.kind == "steps" or len(self.places) == 1:
@@ -162,9 +161,6 @@ class ImageLaw(DataLaw):
     spacing: tuple[float, float, float]
     factor: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", frozen(self.values))
-
     @property
     def box(self) -> NDArray[np.float64]:
         low = np.array(self.origin)
@@ -199,10 +195,6 @@ class PointsLaw(DataLaw):
     values: NDArray[np.float64]
     by: str = "linear"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points", frozen(self.points))
-        object.__setattr__(self, "values", frozen(self.values))
-
     @property
     def box(self) -> NDArray[np.float64]:
         return np.array([self.points.min(axis=0), self.points.max(axis=0)])
@@ -229,8 +221,6 @@ class PointsLaw(DataLaw):
         return Tetrahedra(self.points, self.elements)
 
     def at(self, place: Place) -> NDArray[np.float64]:
-        from sppm_pipeline.features.grading.numerics.samples import by_inverse_distance
-
         if self.by == "linear":
             values, outside = self._mesh.values(self.values, place.points)
             return self.bounded(values, outside)
@@ -247,10 +237,6 @@ class NodesLaw(PointsLaw):
 
     tetrahedra: NDArray[np.int64] = field(kw_only=True)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "tetrahedra", frozen(self.tetrahedra))
-
     @property
     def elements(self) -> NDArray[np.int64]:
         return self.tetrahedra
@@ -262,8 +248,6 @@ class Tetrahedra:
     def __init__(self, nodes: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> None:
         from scipy.spatial import cKDTree
 
-        from sppm_pipeline.services.nearest import element_tree
-
         self._tetrahedra = tetrahedra
         self._corners = np.ascontiguousarray(nodes[tetrahedra])
         self._boxes = element_tree(self._corners)
@@ -274,8 +258,6 @@ class Tetrahedra:
         self, values: NDArray[np.float64], points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Values (n,) at points (n, 3), and which of them lie outside and have the value of the nearest element."""
-        from sppm_pipeline.services.nearest import locate, nearest_in
-
         element, weights = locate(self._boxes, self._corners, points)
         outside = element < 0
         if outside.any():
@@ -307,20 +289,12 @@ class DistanceLaw(Law):
     faces: NDArray[np.int32]
     closed: bool
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(self.vertices))
-        object.__setattr__(self, "faces", frozen(self.faces))
-
     @cached_property
     def _tree(self) -> Any:
-        from sppm_pipeline.services.mesh.box_tree import box_tree
-
         return box_tree(self.vertices[self.faces])
 
     @cached_property
     def _poles(self) -> Any:
-        from sppm_pipeline.services.mesh.winding_number import dipoles
-
         return dipoles(self._tree)
 
     def at(self, place: Place) -> NDArray[np.float64]:
@@ -332,9 +306,6 @@ class DistanceLaw(Law):
                 away = away - np.outer(away @ along, along)
             far: NDArray[np.float64] = np.linalg.norm(away, axis=1)
             return far
-        from sppm_pipeline.services.mesh.winding_number import winding_numbers
-        from sppm_pipeline.services.nearest import surface_distances
-
         distance = surface_distances(self._tree, place.points)
         if not self.closed:
             return distance
@@ -363,10 +334,6 @@ class StiffnessLaw(Law):
     porosities: NDArray[np.float64]
     moduli: NDArray[np.float64]
     deviation: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "porosities", frozen(self.porosities))
-        object.__setattr__(self, "moduli", frozen(self.moduli))
 
     @property
     def curve(self) -> StiffnessCurve:

@@ -117,7 +117,6 @@ class LatticeCells:
         self, field: ScalarField, n: int, threads: int = 1, only: Cells | None = None, places: Places | None = None
     ) -> None:
         self.n, self.threads = n, threads
-        self._porosity: dict[tuple[int, int, int], float] = {}
         self.base = field.base if isinstance(field, Part) else field
         self.places = self._places(field, only) if places is None else places
         self.cells, self.shares, self._inside = self.places
@@ -252,22 +251,19 @@ class LatticeCells:
             progress(len(found))
         return np.array([found[cell] for cell in cells])
 
-    def porosity(self, cell: tuple[int, int, int]) -> float:
-        """Share of void in a cell, or in that of it which lies in the part.
+    def counted(self) -> NDArray[np.float64]:
+        """Share of void in each of the cells, or in that of it which lies in the part, by whole samples, (m,).
 
         Cells that follow each other along x are sampled together, as long rows cost less than short ones.
         """
-        if cell not in self._porosity:
-            known, (i, j, k) = set(self.cells), cell
-            count = 1
-            while (i + count, j, k) in known:
-                count += 1
-            grid = self.grid(cell, count)
+        found = dict[tuple[int, int, int], float]()
+        for run in runs_along_x(self.cells, len(self.cells)):
+            grid = self.grid(run[0], len(run))
             void = self.base.solid_zyx(grid, 0, self.n, self._threads_for(grid)) == 0
-            for c in range(count):
-                own, inside = void[:, :, c * self.n : (c + 1) * self.n], self.inside((i + c, j, k))
-                self._porosity[i + c, j, k] = float(own.mean() if inside is None else own[inside].mean())
-        return self._porosity[cell]
+            for number, cell in enumerate(run):
+                own, inside = void[:, :, number * self.n : (number + 1) * self.n], self.inside(cell)
+                found[cell] = float(own.mean() if inside is None else own[inside].mean())
+        return np.array([found[cell] for cell in self.cells])
 
 
 def filled_cells(field: ScalarField) -> NDArray[np.bool_]:

@@ -11,7 +11,9 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.metric import PLAIN, stretched_metric
 
 _AT_A_TIME = 1 << 18
 """Kernels whose places are evaluated together: 6 MB of places."""
@@ -46,8 +48,6 @@ def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float
     ConfigError
         If there is a stretch without a direction, or a direction without a stretch.
     """
-    from sppm_pipeline.services.metric import stretched_metric
-
     given = [name in grading for name in DIRECTION]
     if "stretch" not in grading:
         if any(given):
@@ -96,9 +96,6 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
     ConfigError
         If walls are to be stretched.
     """
-    from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
-    from sppm_pipeline.services.metric import PLAIN
-
     maps = [name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION) if name in grading]
     if not maps or tiling.edge is None:
         return tiling

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS, nearest
-from sppm_pipeline.nouns.artifact import Artifact, in_rows
+from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
 from sppm_pipeline.nouns.palette import Maps
 
 Points = NDArray[np.float64]
@@ -119,6 +119,11 @@ class Law(Artifact):
 
     name: str
     unit: str
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            if isinstance(value := getattr(self, one.name), np.ndarray):
+                object.__setattr__(self, one.name, frozen(value))
 
     @abstractmethod
     def at(self, place: Place) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
+from sppm_pipeline.features.grading.numerics.bricks import BEFORE, interpolate
 from sppm_pipeline.method.fields.formula import CellCache
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.wrapped import RepeatedField
@@ -116,8 +117,6 @@ class WarpedField(ScalarField):
 
     def _at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Values at points (n, 3) mm."""
-        from sppm_pipeline.features.grading.numerics.bricks import interpolate
-
         cell, places = self.curved.continued(points)
         values = np.full(len(points), VOID, np.float32)
         repeats, size = self.base.periodic, np.array(_own_cells(self.base))
@@ -138,7 +137,6 @@ class WarpedField(ScalarField):
 
     def _brick(self, site: tuple[int, ...]) -> NDArray[np.float32]:
         """Samples of a cell, and a few around it, (n + 4,) * 3."""
-        from sppm_pipeline.features.grading.numerics.bricks import BEFORE
 
         def make() -> NDArray[np.float32]:
             h = 1.0 / self.samples

@@ -147,7 +147,7 @@ def _march(
     begin: float,
     end: float,
 ) -> float:
-    """The d at which the line `line[:3] + d * line[3:]` enters the solid, going back from `begin` to `end`; -inf if nowhere.
+    """The d at which the line `line[:3] + d * line[3:]` enters the solid, back from `begin` to `end`; -inf if nowhere.
 
     Blocks without any solid are crossed at once.
     """

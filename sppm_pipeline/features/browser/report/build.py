@@ -38,8 +38,8 @@ from sppm_pipeline.nouns.report import Curve, ReportSection
 HERE = Path(__file__).parent
 
 VIEW_SHARE, LAYERS_SHARE, PICTURES_SHARE = 0.5, 0.3, 0.1
-"""Shares of a report that the live view, the layers and the pictures may take. A heuristic: what one leaves unused is not
-added to another; a larger report is a matter of `--max-size`."""
+"""Shares of a report that the live view, the layers and the pictures may take. A heuristic: what one does not use is
+not added to another; a larger report is a matter of `--max-size`."""
 
 LONGEST_NAME = 300
 """Characters of a name or text that are shown; `run.json` has all of them."""

@@ -11,6 +11,15 @@ BEFORE = 1
 """Samples that a brick holds before its first one; cubics need one there and two behind the last."""
 
 
+@jit
+def _weights(t: float, out: NDArray[np.float64]) -> None:
+    out[0] = 0.5 * t * (-1.0 + t * (2.0 - t))
+    out[1] = 1.0 + 0.5 * t * t * (-5.0 + 3.0 * t)
+    out[2] = 0.5 * t * (1.0 + t * (4.0 - 3.0 * t))
+    out[3] = 0.5 * t * t * (t - 1.0)
+
+
+@jit
 def interpolate(
     brick: NDArray[np.float32], places: NDArray[np.float64], chosen: NDArray[np.int64], out: NDArray[np.float32]
 ) -> None:
@@ -27,21 +36,6 @@ def interpolate(
     out : (m,) float32
         Receives them.
     """
-    _interpolate(brick, places, chosen, out)
-
-
-@jit
-def _weights(t: float, out: NDArray[np.float64]) -> None:
-    out[0] = 0.5 * t * (-1.0 + t * (2.0 - t))
-    out[1] = 1.0 + 0.5 * t * t * (-5.0 + 3.0 * t)
-    out[2] = 0.5 * t * (1.0 + t * (4.0 - 3.0 * t))
-    out[3] = 0.5 * t * t * (t - 1.0)
-
-
-@jit
-def _interpolate(
-    brick: NDArray[np.float32], places: NDArray[np.float64], chosen: NDArray[np.int64], out: NDArray[np.float32]
-) -> None:
     n = brick.shape[0] - 4
     wx, wy, wz = np.empty(4), np.empty(4), np.empty(4)
     for m in chosen:
@@ -60,18 +54,13 @@ def _interpolate(
         out[m] = total
 
 
+@jit
 def cubic_in_layers(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
     """Values (n,) at places (n, 3), x, y, z counted in samples from the first one, of layers indexed z, y, x.
 
     A place needs one sample before it and two behind it along each axis.
     """
     out = np.empty(len(places), np.float32)
-    _cubic_in_layers(values, places, out)
-    return out
-
-
-@jit
-def _cubic_in_layers(values: NDArray[np.float32], places: NDArray[np.float64], out: NDArray[np.float32]) -> None:
     wx, wy, wz = np.empty(4), np.empty(4), np.empty(4)
     for m in range(len(places)):
         x, y, z = places[m, 0], places[m, 1], places[m, 2]
@@ -87,17 +76,13 @@ def _cubic_in_layers(values: NDArray[np.float32], places: NDArray[np.float64], o
                 plane += wy[b] * (wx[0] * row[i] + wx[1] * row[i + 1] + wx[2] * row[i + 2] + wx[3] * row[i + 3])
             total += wz[c] * plane
         out[m] = total
-
-
-def linear_in_layers(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
-    """As `cubic_in_layers`, linear between samples."""
-    out = np.empty(len(places), np.float32)
-    _linear_in_layers(values, places, out)
     return out
 
 
 @jit
-def _linear_in_layers(values: NDArray[np.float32], places: NDArray[np.float64], out: NDArray[np.float32]) -> None:
+def linear_in_layers(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
+    """As `cubic_in_layers`, linear between samples."""
+    out = np.empty(len(places), np.float32)
     for m in range(len(places)):
         x, y, z = places[m, 0], places[m, 1], places[m, 2]
         i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -107,3 +92,4 @@ def _linear_in_layers(values: NDArray[np.float32], places: NDArray[np.float64], 
         high = (1 - y) * ((1 - x) * values[k + 1, j, i] + x * values[k + 1, j, i + 1])
         high += y * ((1 - x) * values[k + 1, j + 1, i] + x * values[k + 1, j + 1, i + 1])
         out[m] = (1 - z) * low + z * high
+    return out

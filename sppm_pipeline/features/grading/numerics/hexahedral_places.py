@@ -356,20 +356,15 @@ def points_and_volumes(
     corners: NDArray[np.float64], cell: NDArray[np.integer], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """As `points_in`, but with the size of the determinant, (n,), in place of the derivative."""
-    points, volumes = np.empty((len(cell), 3)), np.empty(len(cell))
     nodes = np.ascontiguousarray(corners.reshape(-1, 8, 3))
-    _points_and_volumes(nodes, cell.astype(np.int64), np.ascontiguousarray(places), points, volumes)
-    return points, volumes
+    return _points_and_volumes(nodes, cell.astype(np.int64), np.ascontiguousarray(places))
 
 
 @jit
 def _points_and_volumes(
-    nodes: NDArray[np.float64],
-    cell: NDArray[np.int64],
-    places: NDArray[np.float64],
-    points: NDArray[np.float64],
-    volumes: NDArray[np.float64],
-) -> None:
-    d = np.empty((3, 3))
+    nodes: NDArray[np.float64], cell: NDArray[np.int64], places: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points, volumes, d = np.empty((len(cell), 3)), np.empty(len(cell)), np.empty((3, 3))
     for n in range(len(cell)):
         volumes[n] = abs(point_and_volume(nodes[cell[n]], places[n, 0], places[n, 1], places[n, 2], points[n], d))
+    return points, volumes

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.grading.numerics.newton import LevelFit, newton_steps
+from sppm_pipeline.method.kernels.level_rows import void_at_level
 from sppm_pipeline.method.kernels.level_spline import (
     control_of_means,
     control_with_some_held,
@@ -101,8 +102,6 @@ def void_and_slope(
     width : float
         Of the ramp, in values.
     """
-    from sppm_pipeline.method.kernels.level_rows import void_at_level
-
     ramp, shares = codes.width(width), []
     for cell, found in zip(run, codes.of(run), strict=True):
         # the cells around, with the outermost ones repeated

@@ -29,7 +29,9 @@ from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved
 from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE, error_summary, filled_cells
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.local_means import BLOCKS, block_counts, smoothed_means
 from sppm_pipeline.features.grading.rounds import trial
+from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.grid import cell_centers
 
@@ -97,8 +99,6 @@ class CheckLocalPorosity(Stage):
 
     def run(self, context: Context, field: ScalarField, grading: Grading, recipe: Recipe | None = None) -> None:
         """Count layer by layer, smooth, compare."""
-        from sppm_pipeline.features.grading.numerics.local_means import smoothed_means
-
         curved = curved_cells_of(field)
         if curved is not None:
             cells, maps = self._curved(context, field, curved, grading)
@@ -140,8 +140,6 @@ class CheckLocalPorosity(Stage):
         self, context: Context, field: ScalarField, curved: CurvedCells, grading: Grading
     ) -> tuple[CellValues, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
         """Porosities of bent cells, and these at blocks of the lattice: wanted, measured, and where cells are."""
-        from sppm_pipeline.features.grading.numerics.local_means import BLOCKS
-
         # other points than those by which a level was tuned with the same resolution
         samples = CurvedSamples(field, curved, self.resolution + 1, context.threads)
         counts = samples.shares(lambda done, of: context.progress(done, of, "layers"))
@@ -165,8 +163,6 @@ class CheckLocalPorosity(Stage):
 
     def _blocks(self, context: Context, field: ScalarField, grading: Grading) -> BlockMap:
         """Shares of blocks, a layer of blocks at a time."""
-        from sppm_pipeline.features.grading.numerics.local_means import BLOCKS, block_counts
-
         n = BLOCKS * -(-self.resolution // BLOCKS)
         size, grid, edge = n // BLOCKS, cell_centers(n, field.cells), field.physical_edge()
         grading = grading.in_cells(edge, field.origin_mm)
@@ -196,9 +192,6 @@ class CheckLocalPorosity(Stage):
 
         Cells around the box are those of it once more; the window ends at the box, as it does at that of the field.
         """
-        from sppm_pipeline.features.grading.numerics.local_means import BLOCKS, block_counts, smoothed_means
-        from sppm_pipeline.method.assembly.contents import TilingArrays
-
         nx, ny, nz = (min(NOISE_CELLS, n) for n in cells)
         blocks = Blocks(np.ones((nx, ny, nz), bool), True) if scattered else None
         colors = (0, 0, 0) if scattered else (1, 1, 1)
@@ -224,7 +217,6 @@ class CheckLocalPorosity(Stage):
     ) -> None:
         from PIL import Image
 
-        from sppm_pipeline.features.grading.numerics.local_means import BLOCKS
         from sppm_pipeline.features.grading.section_pictures import map_sections, porosity_scatter
         from sppm_pipeline.services.formats import vti
 
@@ -264,8 +256,6 @@ class CheckLocalPorosity(Stage):
 
 def _of_cells(blocks: BlockMap, field: ScalarField) -> CellValues:
     """Cells of which enough lies in the part."""
-    from sppm_pipeline.features.grading.numerics.local_means import BLOCKS
-
     nx, ny, nz = (n // BLOCKS for n in blocks.inside.shape)
 
     def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.curve import stiffness_curve
 from sppm_pipeline.features.grading.rounds import curve_of, recipe_total, trial
 
 TRIED = 6
@@ -129,8 +130,6 @@ class GradeStiffness(Grader):
 
     def _law(self, context: Context, cells: NDArray[np.float64] | None) -> StiffnessLaw:
         """Fit the curve."""
-        from sppm_pipeline.features.grading.numerics.curve import stiffness_curve
-
         if cells is not None:
             where = "the recipe: "
         elif self.path is not None:

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from sppm_pipeline import Context, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, size_of_mesh
+from sppm_pipeline.features.grading.numerics.hexahedral_mesh import boundary_triangles
 from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
 
@@ -41,8 +42,6 @@ class ReadHexahedra(Stage):
 
     def run(self, context: Context) -> SurfaceMesh:
         """Read, check, and cut the faces into triangles."""
-        from sppm_pipeline.features.grading.numerics.hexahedral_mesh import boundary_triangles
-
         mesh = mesh_of(read_hexahedra(self.path), self.path, self.unit, context)
         context.report(hexahedra=len(mesh.corners))
         return SurfaceMesh(*boundary_triangles(mesh, self.squares), name=self.path.name)

@@ -32,6 +32,7 @@ from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size
 from sppm_pipeline.method.families.tileset_maker import check_faces
+from sppm_pipeline.method.tiling.lattice import face_presence, meetings, tile_fresh, with_halo
 
 FACE_OFFSET = 0.25
 """Distance from a face, in cell sizes, at which the map gives its number of pores on either side. A heuristic: the
@@ -91,8 +92,6 @@ class GradedTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, grading: Grading, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells, draw them, measure them and draw them again."""
-        from sppm_pipeline.method.tiling.lattice import meetings
-
         check_round(grading, self.name)
         lattice = lattice_for(self.cell, self.cells, cover, None)
         edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
@@ -124,7 +123,7 @@ class GradedTiling(Stage):
         def errors(number: int, made: Tiling) -> NDArray[np.float64]:
             cells, found = LatticeCells(made, self.resolution, context.threads), np.full(len(targets), np.nan)
             own = arrays.box[tuple(np.array(cells.cells).T)]
-            found[own] = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
+            found[own] = cells.counted() - targets[own]
             return found
 
         def laid(palette: Palette) -> Tiling:
@@ -139,8 +138,6 @@ class GradedTiling(Stage):
 
     def _arrays(self, mask: NDArray[np.bool_]) -> TilingArrays:
         """Interiors and faces of the part and of the cells around it."""
-        from sppm_pipeline.method.tiling.lattice import face_presence, tile_fresh, with_halo
-
         around = with_halo(mask, HALO)
         if self.faces != "same":
             return TilingArrays(*tile_fresh(around), False, HALO)

@@ -27,9 +27,13 @@ from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_mea
 from sppm_pipeline.features.grading.map_sizes import check_round
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import in_rounds
+from sppm_pipeline.method.connecting.bounded import spanning_subgraph
+from sppm_pipeline.method.connecting.degrees import clamped_degrees
 from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.sampling.darts import throw
+from sppm_pipeline.method.tiling.lattice import with_halo
 
 TIGHTER = 0.93
 """Factor of the spacing after the pores of a transition cell did not fit. Not sensitive: it is applied until they fit,
@@ -87,8 +91,6 @@ class JoinedTiling(Stage):
         self, context: Context, sets: JoinedSets, grading: Grading, cover: SurfaceMesh | None
     ) -> Tiling | LevelField:
         """Give each face to a set, find the cells between, and draw these."""
-        from sppm_pipeline.method.tiling.lattice import with_halo
-
         check_round(grading, self.name)
         lattice = lattice_for(self.cell, self.cells, cover, sets.first.micro.edge_mm)
         if lattice.edge is None:
@@ -132,9 +134,8 @@ class JoinedTiling(Stage):
             found = np.full(len(between), np.nan)
             if not inside.any():
                 return found
-            wanted = [tuple(place) for place in (between[inside] - HALO).tolist()]
-            cells = LatticeCells(made, self.resolution, context.threads, only=wanted)
-            found[inside] = [cells.porosity(cell) for cell in wanted]
+            cells = [(i, j, k) for i, j, k in (between[inside] - HALO).tolist()]
+            found[inside] = LatticeCells(made, self.resolution, context.threads, only=cells).counted()
             return found - targets
 
         def again(
@@ -197,10 +198,6 @@ class JoinedTiling(Stage):
         usual: list[Usual],
     ) -> Transition:  # fmt: skip
         """The interior of a transition cell: pores that keep away from those of its faces, joined with each other."""
-        from sppm_pipeline.method.connecting.bounded import spanning_subgraph
-        from sppm_pipeline.method.connecting.degrees import clamped_degrees
-        from sppm_pipeline.method.sampling.darts import throw
-
         a, b = usual
         obstacles = layout.around(number)
         n = max(FEWEST, round(float(count)))

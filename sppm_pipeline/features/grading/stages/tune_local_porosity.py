@@ -38,6 +38,7 @@ from sppm_pipeline.features.grading.local_porosity import (
     error_summary,
 )
 from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level
 from sppm_pipeline.features.grading.numerics.newton import LevelFit
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
@@ -122,7 +123,7 @@ class TuneLocalPorosity(Stage):
             measured = LatticeCells(tuned, finer, context.threads, only=some)
             number = {cell: m for m, cell in enumerate(fitted.names)}
             which = np.array([number[cell] for cell in measured.cells])
-            found = np.array([measured.porosity(cell) for cell in measured.cells])
+            found = measured.counted()
         else:
             which = np.arange(len(fitted.names))
             found = CurvedSamples(tuned, curved, finer, context.threads).shares().porosity[fitted.numbers]
@@ -192,8 +193,6 @@ class TuneLocalPorosity(Stage):
 
     def _fitting(self, context: Context, curved: CurvedCells) -> int:
         """The resolution, or a lower one whose samples fit into memory."""
-        from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
-
         n = self.resolution
         while n > 8 and BYTES_OF_A_SAMPLE * float(n) ** 3 * curved.count > context.memory / 2:
             n -= max(1, n // 16)

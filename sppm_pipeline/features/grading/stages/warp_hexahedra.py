@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, InputError, ScalarField, Tiling, options
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells, Mapped
 from sppm_pipeline.features.grading.hexahedra import check_path, mesh_of, warn_of_order
+from sppm_pipeline.features.grading.numerics.hexahedra import block_of, mapped_in_block
 from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry
 from sppm_pipeline.features.grading.warper import Warper
 from sppm_pipeline.nouns.length import UNITS_IN_MM
@@ -53,8 +54,6 @@ class WarpHexahedra(Warper):
     @cached_property
     def _block(self) -> NDArray[np.float64] | str:
         """Nodes of the block, (nx + 1, ny + 1, nz + 1, 3) mm, or why the mesh is none."""
-        from sppm_pipeline.features.grading.numerics.hexahedra import block_of
-
         mesh = self._mesh
         try:
             return mesh.nodes[block_of(mesh.hexahedra)]
@@ -86,8 +85,6 @@ class WarpHexahedra(Warper):
         return (nx, ny, nz) if field.periodic and tuple(field.cells) == (1, 1, 1) else field.cells
 
     def curved(self, field: ScalarField) -> HexahedralCells:
-        from sppm_pipeline.features.grading.numerics.hexahedra import mapped_in_block
-
         if not isinstance(field, Tiling) and field.periodic and isinstance(self._block, str):
             if not has_cubic_symmetry(field):
                 raise InputError(
@@ -116,8 +113,6 @@ class WarpHexahedra(Warper):
             )
 
     def mapped(self, field: ScalarField, places: NDArray[np.float64]) -> Mapped:
-        from sppm_pipeline.features.grading.numerics.hexahedra import mapped_in_block
-
         size, cells = np.array(self._corners.shape[:3]) - 1, np.array(field.cells)
         self._check_cells(field.cells)
         points, det = mapped_in_block(self._corners, places * size / cells)
