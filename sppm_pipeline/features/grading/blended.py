@@ -66,20 +66,16 @@ class BlendedField(ScalarField):
 
     @property
     def finest_radius(self) -> float | None:
-        own, other = self.first.finest_radius, self.second.finest_radius
-        there = [own] if own is not None else []
-        return min([*there, other * self._ratio] if other is not None else there, default=None)
+        return self._smaller(self.first.finest_radius, self.second.finest_radius)
 
     @property
     def thinnest_wall(self) -> float | None:
-        own, other = self.first.thinnest_wall, self.second.thinnest_wall
-        there = [own] if own is not None else []
-        return min([*there, other * self._ratio] if other is not None else there, default=None)
+        return self._smaller(self.first.thinnest_wall, self.second.thinnest_wall)
 
-    @property
-    def _ratio(self) -> float:
-        """Cell edge of the second field in that of the first."""
-        return self.second.physical_edge() / self.first.physical_edge()
+    def _smaller(self, own: float | None, other: float | None) -> float | None:
+        """The smaller of two lengths, each in cells of its field."""
+        in_own = None if other is None else other * self.second.physical_edge() / self.first.physical_edge()
+        return min((length for length in (own, in_own) if length is not None), default=None)
 
     def exactly(self) -> BlendedField:
         return replace(self, first=self.first.exactly(), second=self.second.exactly())

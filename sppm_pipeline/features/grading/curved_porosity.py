@@ -113,13 +113,6 @@ class CurvedSamples:
 
     Cells end where they end, not at voxels. The field is sampled on a fine grid, a slab after the other, and
     interpolated by cubics; the distance from the domain of a part, linearly.
-
-    Parameters
-    ----------
-    field : ScalarField
-    curved : CurvedCells
-    n : int
-    threads : int
     """
 
     def __init__(self, field: ScalarField, curved: CurvedCells, n: int, threads: int = 1) -> None:
@@ -228,14 +221,6 @@ def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLat
     return ControlLattice((nx, ny, nz), edge / parts, np.array(field.origin_mm)), parts
 
 
-class CurvedFit(NamedTuple):
-    """A field with a level of its own in each bent cell, how well it does, and which cells had an equation."""
-
-    field: LevelField
-    fit: LevelFit
-    known: NDArray[np.bool_]
-
-
 def fit_curved_level(
     samples: CurvedSamples,
     bare: ScalarField,
@@ -246,8 +231,8 @@ def fit_curved_level(
     tolerance: float,
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> CurvedFit:
-    """Choose values at the cells so that each has its porosity; see `numerics.cell_level`.
+) -> tuple[LevelField, LevelFit, NDArray[np.bool_]]:
+    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation.
 
     Raises
     ------
@@ -274,4 +259,4 @@ def fit_curved_level(
         return porosities_and_slopes(found, control(values), curved.count, near)
 
     fit = fit_cells(measure, means, known, targets, np.full(curved.count, start), bounds, tolerance, evaluations)
-    return CurvedFit(LevelField(bare, control(fit.values), parts), fit, known)
+    return LevelField(bare, control(fit.values), parts), fit, known

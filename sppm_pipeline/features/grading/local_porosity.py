@@ -36,16 +36,7 @@ def cell_means(
 ) -> NDArray[np.float64]:
     """Means of a map over cells of a lattice, (m,).
 
-    Parameters
-    ----------
-    grading : Grading
-    name : str
-        Name of the map.
-    edge : float
-        Cell edge, mm.
-    origin : tuple of 3 floats
-        Low corner of cell (0, 0, 0), mm.
-    cells : (m, 3) int
+    `edge` is that of a cell and `origin` the low corner of cell (0, 0, 0), in mm; `cells` are (m, 3).
     """
     cells = np.asarray(cells, np.int64)
     key = (name, edge, origin, cells.tobytes())
@@ -226,16 +217,6 @@ class LatticeCells:
         """Porosities of some cells of a sum of kernels, or of that of them which lies in the part.
 
         Samples near the level count in part, which takes a third of the samples that counting them whole would.
-
-        Parameters
-        ----------
-        cells : list of m cells
-        progress : callable
-            Called with the number of cells measured so far.
-
-        Returns
-        -------
-        (m,) float64
         """
         level = self.base.sum_level
         assert level is not None

@@ -196,19 +196,8 @@ def corrected(
 ) -> Cells:
     """Scattered blocks whose pores are kept, but for some at random in cells of too many, and added to in others.
 
-    Parameters
-    ----------
-    context : Context
-    number : int
-        Of the round.
-    blocks : Blocks
-        As they were drawn first.
-    pores : PoreSet
-        What is in them.
-    cell : (n,) int
-        The cell of each pore, -1 for none: a block, or whatever has a quota.
-    excess : (m,) float64
-        How many pores each cell has too many; NaN where that is not known. No cell falls below `FEWEST`.
+    `cell` (n,) is the cell of each pore, -1 for none: a block, or whatever has a quota. `excess` (m,) is the number of
+    pores that each cell has too many, NaN where it is unknown; no cell falls below `FEWEST`.
     """
     change = -np.rint(np.nan_to_num(excess)).astype(np.int64)
     order = np.argsort(cell, kind="stable")

@@ -17,19 +17,8 @@ def map_sections(
 ) -> NDArray[np.uint8]:
     """The section through the middle, across the shortest axis: wanted, measured, and their difference.
 
-    Parameters
-    ----------
-    target, measured : (nx, ny, nz) float64
-        Values in the moving window.
-    there : (nx, ny, nz) bool
-        What lies in the part; elsewhere it is gray.
-    what : str
-        What is shown.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        The first two with one scale; the difference runs from minus to plus its largest size, which is stated.
+    Values are (nx, ny, nz); what lies outside of the part, where `there` is false, is gray. Target and measured share
+    one scale; the difference runs from minus to plus its largest size, which is stated.
     """
     across = 1 if target.shape[1] <= min(target.shape) else int(np.argmin(target.shape))
     middle = target.shape[across] // 2

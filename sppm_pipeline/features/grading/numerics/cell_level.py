@@ -47,17 +47,8 @@ class ControlLattice(NamedTuple):
 def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDArray[np.float64]) -> csr_array:
     """Weights of the cells at each control point, (points, cells); rows add up to one.
 
-    Parameters
-    ----------
-    lattice : ControlLattice
-    centers : (m, 3) float64, mm
-        Middles of the cells.
-    frames : (m, 3, 3) float64, mm
-        Derivatives there: column a is the cell's axis a.
-
-    Notes
-    -----
-    Points out of reach of all cells get the value of that whose middle is nearest.
+    `frames` (m, 3, 3) are the derivatives at the centers, in mm: column a is the cell's axis a. Points out of reach of
+    all cells get the value of the nearest one.
     """
     from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
@@ -125,13 +116,8 @@ def means_over_cells(
 ) -> csr_array:
     """Matrix from the cells' values to the means of the spline over each cell, (m, m).
 
-    Parameters
-    ----------
-    lattice : ControlLattice
-    blend : (points, m) sparse array
-        By `blending`.
-    inner : callable of the first cell and the one after the last
-        Points in these cells, (cells, k, 3) mm, and the volume that each stands for, (cells, k).
+    `inner` gives for the cells from a first one to before a last one points (cells, k, 3) mm and the volume that each
+    stands for, (cells, k).
     """
     from scipy.sparse import csr_array, vstack
 
@@ -211,14 +197,7 @@ def porosities_and_slopes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Share of each cell at or above the level, and its change with the level.
 
-    Parameters
-    ----------
-    samples : list of CellSamples
-    control : (nx, ny, nz) float64
-        Control points of the spline.
-    cells : int
-    half_width : float
-        Samples within this distance of the level give the slope.
+    Samples within `half_width` of the level give the slope.
     """
     totals = np.zeros((3, cells))
     padded = np.pad(control, 1, mode="edge")

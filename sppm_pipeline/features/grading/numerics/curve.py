@@ -115,11 +115,6 @@ def stiffness_curve(porosities: NDArray[np.float64], moduli: NDArray[np.float64]
     Up to twelve cells stand for themselves, more are taken in twelve groups of nearly one porosity (pool-adjacent-
     violators: Barlow et al. 1972).
 
-    Parameters
-    ----------
-    porosities, moduli : (n,) float64
-        Of cells; moduli positive.
-
     Raises
     ------
     DesignError

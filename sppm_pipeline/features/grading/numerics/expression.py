@@ -229,16 +229,7 @@ class Expression:
     def evaluate(self, values: Mapping[str, NDArray[np.float64]], count: int) -> NDArray[np.float64]:
         """Its value at `count` points.
 
-        Parameters
-        ----------
-        values : mapping of str to (count,) float64
-            The variables that it uses.
-        count : int
-
-        Returns
-        -------
-        (count,) float64
-            Not finite where the formula is not defined.
+        Not finite where the formula is not defined.
         """
         made = np.empty(count)
         with np.errstate(all="ignore"):

@@ -89,16 +89,7 @@ def mapped_in_block(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Trilinear places in a block of hexahedra, and the determinant of the derivative.
 
-    Parameters
-    ----------
-    corners : (nx + 1, ny + 1, nz + 1, 3) float64
-    places : (n, 3) float64
-        Counted in elements; those beyond the block are continued from the element next to them.
-
-    Returns
-    -------
-    points : (n, 3) float64
-    determinant : (n,) float64
+    `places` (n, 3) count elements; those beyond the block are continued from the element next to them.
     """
     size = np.array(corners.shape[:3]) - 1
     element = np.clip(np.floor(places), 0, size - 1).astype(np.int64)

@@ -91,16 +91,6 @@ def void_and_slope(
     levels that far apart is off by the square of the width, and ramps of one and of half the width eliminate that
     (Richardson). The remaining error is a third of the noise of counting whole samples: with 48 samples along an edge
     the share is good to 1 or 2 in 10 000.
-
-    Parameters
-    ----------
-    codes : CellCodes
-    control : (nx, ny, nz) float64
-        Control points of the level.
-    run : cells
-        Sampled together.
-    width : float
-        Of the ramp, in values.
     """
     ramp, shares = codes.width(width), []
     for cell, found in zip(run, codes.of(run), strict=True):
@@ -130,26 +120,8 @@ def fit_level(
     with the wanted changes of its means is a banded solve along each axis. Cells without an equation, outside of the
     part, follow those around them.
 
-    Parameters
-    ----------
-    codes : CellCodes
-    cells : list of m cells
-    targets : (m,) float64
-        Porosities.
-    start : (nx, ny, nz) float64
-        Control points to begin with.
-    bounds : 2 floats
-        Least and largest control point.
-    width : float
-        Of the ramp by which samples near the level count, in values: see `void_and_slope`.
-    tolerance : float
-        Largest error of a cell.
-    steps : int
-        Comparisons at most.
-    threads : int
-        Number of threads; the result does not depend on it.
-    progress : callable
-        Called with the number of cells compared so far, and of all.
+    `targets` are those of the cells, (m,), `start` are control points of the whole lattice, and `width` is that of the
+    ramp of `void_and_slope`. The result does not depend on `threads`; `progress` is called with the cells compared.
     """
     place, runs = tuple(np.array(cells).T), runs_along_x(cells, RUN)
     known, wanted = np.zeros(start.shape, bool), np.zeros(start.shape)

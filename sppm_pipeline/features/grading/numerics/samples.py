@@ -31,15 +31,7 @@ MAX_PAIRS = 200_000_000
 
 
 def by_inverse_distance(tree: Any, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of the nearest samples by inverse squared distances; at a sample its own value.
-
-    Parameters
-    ----------
-    tree : scipy.spatial.cKDTree
-        Of the samples.
-    values : (m,) float64
-    points : (n, 3) float64
-    """
+    """Mean of the nearest samples by inverse squared distances; at a sample its own value."""
     count = min(NEIGHBORS, len(values))
     distance, near = tree.query(points, count)
     distance, near = distance.reshape(len(points), count), near.reshape(len(points), count)
@@ -88,14 +80,8 @@ def smoothed(
 ) -> NDArray[np.float64]:
     """Means of nodal values, weighted by a Gaussian of the distance and by the nodes' volumes.
 
-    Parameters
-    ----------
-    nodes : (n, 3) float64
-    weights : (n,) float64
-        Volume of each node: a quarter of that of its tetrahedra.
-    values : (n,) float64
-    sigma : float
-        Standard deviation; nodes within three of them are summed.
+    The Gaussian has the standard deviation `sigma`, and is cut off at three of them; the `weights` are the nodes'
+    volumes, a quarter of those of their tetrahedra.
 
     Raises
     ------
