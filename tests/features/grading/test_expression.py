@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, DEEPEST, FUNCTIONS, LONGEST, Expression
+from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, MAX_DEPTH, MAX_LENGTH, Expression
 
 POINTS = np.linspace(-3, 3, 7)
 VALUES = {"x": POINTS, "y": POINTS[::-1] ** 2, "z": np.arange(7.0)}
@@ -96,7 +96,7 @@ BOMBS = [
     "sin(" * 200 + "x" + ")" * 200, "min(" + "x," * 480 + "x)", "1" * 1000, "1e" + "9" * 900, "x<" * 490 + "x",
     "9**" * 330 + "9", "{" * 1000, "[" * 1000, "f(**" * 240, "lambda:" * 140 + "x", "x" * 1000, "+" * 1000,
     " " * 999 + "x", "x or " * 190 + "x", "a." * 490 + "a", "\t\n" * 400, "((((((((((x" + "))" * 400,
-    "x" * LONGEST + "x",
+    "x" * MAX_LENGTH + "x",
 ]  # fmt: skip
 
 
@@ -151,8 +151,8 @@ def test_no_text_hangs_or_fails_in_another_way():
 
 
 def test_bounds_of_size():
-    deep = DEEPEST - 1
+    deep = MAX_DEPTH - 1
     assert Expression("(" * deep + "x" + ")" * deep, ("x",)).evaluate(VALUES, 7)[0] == -3
-    for text in (BOMBS[-1], "(" * (DEEPEST + 1) + "x" + ")" * (DEEPEST + 1), "x+" * 300 + "x"):
+    for text in (BOMBS[-1], "(" * (MAX_DEPTH + 1) + "x" + ")" * (MAX_DEPTH + 1), "x+" * 300 + "x"):
         with pytest.raises(ConfigError, match=r"limit|deep|more than"):
             Expression(text, ("x",))
