@@ -105,6 +105,7 @@ class BlendedField(ScalarField):
 
         positions = [grid.axis(axis) for axis in range(3)]
         positions[2] = positions[2][start:stop]
+        # nodes lie on a lattice fixed in space, so that values do not depend on the slab they are computed in
         low = [np.floor(t * NODES).astype(np.int64) for t in positions]
         nodes = [np.arange(k.min(), k.max() + 2) for k in low]
         edge, origin = self.first.physical_edge(), self.first.origin_mm
@@ -115,6 +116,7 @@ class BlendedField(ScalarField):
         if "porosity" in grading:
             porosity = grading["porosity"].at(points)
         else:
+            # without a map of the porosity it goes from that of one field to that of the other
             porosity = (1 - weight) * self.porosities[0] + weight * self.porosities[1]
         found = []
         for values in (weight, ndtri(1 - porosity)):

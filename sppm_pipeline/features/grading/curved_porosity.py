@@ -77,18 +77,8 @@ class CellShares(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Values at some points in cells.
-
-    Attributes
-    ----------
-    points : (k, 3) float64, mm
-    cell : (k,) int32
-    volume : (k,) float64
-        What each stands for, mm^3.
-    value : (k,) float32
-        Of the field.
-    inside : (k,) bool
-        Whether the part holds them.
+    """Points (k, 3) in cells, mm, with their cells, the volume that each stands for, the value of the field there, and
+    whether the part holds them.
     """
 
     points: NDArray[np.float64]
@@ -119,6 +109,7 @@ class CurvedSamples:
         self.field, self.curved, self.n, self._threads = field, curved, n, threads
         self._edge, self._origin = field.physical_edge(), np.array(field.origin_mm)
         inner = field.base if isinstance(field, Part) else field
+        # one grid for all cells: fine enough for the smallest one, and not finer than kernels are smooth
         h = float(np.cbrt(curved.volumes.min())) / (FINEST * n) / self._edge
         pitch = inner.coarse_pitch if isinstance(inner, KernelSum) and inner.additive else None
         if pitch is not None:
@@ -160,6 +151,7 @@ class CurvedSamples:
 
     def _in_slab(self, start: int, stop: int, cells: NDArray[np.int64]) -> Iterator[Found]:
         first, last = start - 1, stop + 2
+        # one layer before and two behind a slab, for cubics at its border
         distance = None
         if isinstance(self.field, Part):
             values, distance = self.field.apart_zyx(self.grid, self._threads, first, last)

@@ -66,17 +66,8 @@ def scattered_by_maps(context: Context, grading: Grading, wanted: Scattering) ->
 class GradedCloud:
     """Pores scattered over a lattice of blocks by maps.
 
-    Attributes
-    ----------
-    wanted : Scattering
-        Porosities are those of what lies in the part, if there is one.
-    grading : Grading
-    filled : (nx, ny, nz) bool
-        Cells that the part touches, in the lattice of all blocks.
-    edge : float
-        Block edge, mm.
-    origin : 3 floats
-        Low corner of the first block that is no halo, mm.
+    Porosities are those of what lies in the part, if there is one. `filled` are the cells that the part touches in the
+    lattice of all blocks; `edge` is that of a block and `origin` the low corner of the first one that is no halo, mm.
     """
 
     wanted: Scattering
@@ -95,6 +86,7 @@ class GradedCloud:
         if porosity is not None:
             trials = of_scattered_boxes(context, recipe, max(24, self.wanted.resolution // 2))
             curve = curve_of(context, trials, total, porosity, self.wanted.trials)
+            # plane by plane, so that temporaries stay small
             for plane, here in zip(density, np.broadcast_to(porosity, density.shape), strict=True):
                 plane *= curve.pores(here) / total
         self._warn_of_steepness(context, density, total)
@@ -118,6 +110,7 @@ class GradedCloud:
             if number == rounds:
                 return None
             known, pores = np.isfinite(errors), made.tileset.micro.graph.pores
+            # porosity to pores of the recipe by the slope of the curve, and to pores of this block by its density
             errors[known] *= room[known] / curve.slope(curve.pores(self._targets(np.argwhere(mask)[known] - HALO)))
             return corrected(context, number, blocks, pores, pores.piece, errors)
 
@@ -220,6 +213,7 @@ class GradedCloud:
 
         def here(points: NDArray[np.float64]) -> NDArray[np.float64]:
             size = grading[name].at(points) / usual if name in grading else np.ones(len(points))
+            # as many pores in a cube of the local spacing everywhere: the porosity stays where sizes vary
             density, metric = size**-3.0, metric_at(grading, points)
             if metric is not None:
                 density *= np.sqrt(determinants(metric))  # as many pores where they are s times longer: 1/s of them

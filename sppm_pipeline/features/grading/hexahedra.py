@@ -56,16 +56,8 @@ MAX_BYTES = 64 * 2**20
 
 
 class MeshSize(NamedTuple):
-    """Size of a mesh of hexahedra for an estimate; lengths in mm.
-
-    Attributes
-    ----------
-    hexahedra, faces : int
-        Elements, and their faces at which the mesh ends.
-    box : (x, y, z)
-    volume, area : float
-    cell : (smallest, mean, largest)
-        Edges of cubes as large as the elements.
+    """Size of a mesh of hexahedra for an estimate: elements, faces of the boundary, box, volume, area, and edges of cubes
+    as large as the smallest, the mean and the largest element; lengths in mm.
     """
 
     hexahedra: int

@@ -140,8 +140,10 @@ class HexahedralBlocks(FilledBlocks):
         wanted = usual if self.quotas is None else self.quotas
         # a cell with more pores than usual has them closer
         closer = spacing * np.cbrt(usual / np.maximum(wanted, 1e-9))
+        # one stream for all cells, in their order, so that the result does not depend on threads
         rng, origin = context.rng(), np.array(self.origin)
         seed = int(rng.integers(0, 2**64, dtype=np.uint64))
+        # rounded cumulated quotas: the total is right though each is a whole number
         quotas = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(wanted)]) + 0.5)).astype(np.int64)
         box = np.array([origin, origin + self.edge * np.array(self.shape)])
         in_mm = closer * around.edges
@@ -213,6 +215,7 @@ def _around_the_mesh(
     expected = found.mean(axis=1) * blocks.edge**3
     quotas = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(expected)]) + 0.5)).astype(np.int64)
     group = np.repeat(np.arange(len(sites)), np.where(quotas > 0, _TRIES * quotas + _TRIES, 0))
+    # thinned darts: as many candidates as the densest place of a block asks for, kept by the local density
     points = (sites[group] + rng.random((len(group), 3))) * blocks.edge + origin
     here, own = dense(points)
     kept = rng.random(len(group)) * found.max(axis=1)[group] < here
@@ -223,18 +226,8 @@ def _around_the_mesh(
 class HexahedralCloud:
     """Pores scattered in a mesh of hexahedra, with rounds of corrections.
 
-    Attributes
-    ----------
-    recipe : Recipe
-    curved : HexahedralCells
-    fixed : float or None
-        Edge of the cell, mm, in which lengths of the recipe hold; None if they follow the mesh.
-    grading : Grading or None
-        May hold the map `porosity`.
-    porosity : float or None
-        The target where there is no map of it; without either the recipe's number of pores is taken.
-    trials : int
-    resolution : int
+    Lengths of the recipe hold in a cell of the edge `fixed`, mm, or follow the mesh if that is None. The target is the
+    map `porosity` of the grading, or `porosity`; without either the recipe's number of pores is taken.
     """
 
     recipe: Recipe
@@ -307,6 +300,7 @@ class HexahedralCloud:
         middles = points[graph.edges].mean(axis=1)
         at_pores, at_tunnels = self._around.size_at(points), self._around.size_at(middles)
         largest = max(float(at_pores.max(initial=0.0)), float(at_tunnels.max(initial=0.0)))
+        # blocks are at least as large as kernels reach, so that one ring of blocks around the box is enough
         edge = max(blocks.edge, micro.reach * largest / HALO)
         profile = micro.pieces.kernels.profile
         scaled = graph._replace(points=points).resized(profile, at_pores / edge, at_tunnels / edge)

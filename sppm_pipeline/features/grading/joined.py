@@ -101,6 +101,7 @@ class Transition(NamedTuple):
         mu : (k,) float64
             Usual among the tunnels of the set to which each belongs. A connector gets the geometric mean.
         """
+        # the nearest pore, by the shortest tunnel
         nearest = ((around[:, None] - self.centers[None]) ** 2).sum(-1).argmin(1)
         return nearest, np.sqrt(self.mu * mu)
 
@@ -152,6 +153,7 @@ class SameSize:
             faces.append(np.where(second, high, low).astype(np.int32))
             for side in _sides(axis):
                 count += second[side]
+        # all six faces of one set make a cell of that set; anything between is a transition cell
         self.own = np.where(~mask, -1, np.where(count == 0, 0, np.where(count == 6, 1, 2))).astype(np.int8)
         self.between = np.argwhere(self.own == 2)
         first, after = laid[0][0], laid[1][0] + self._pores[0].interiors

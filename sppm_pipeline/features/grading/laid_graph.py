@@ -146,6 +146,7 @@ def _sites(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> _Sites:
             places.append(np.clip(index, 0, content.shape[axis] - 1))
         known = there[0][:, None, None] & there[1][:, None] & there[2]
         found = np.where(known, content[np.ix_(*places)], -1).astype(np.int64)
+        # faces are owned by the cell on their high side, so that none is laid twice
         if kind:
             # a tiling may name faces that no pores were put on
             found = np.where(found < pores.colors[kind - 1], found, -1)
@@ -187,6 +188,7 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
                 continue
             second = ends[led, 1]
             wanted = pores.piece[second]
+            # a tunnel exists where the neighbor has the piece that it was drawn for
             there, found = sites.at(kind_of_piece[wanted], graph.shift[led] + site)
             good = found == wanted
             low = start[kind, flat] + rank[ends[led, 0]]
@@ -209,6 +211,7 @@ def _largest_inside(
     curved: CurvedCells,
 ) -> float:
     """The largest of sizes (n,) of what has one of its points (chosen, k, 3) mm in a cell; of all if nothing has."""
+    # from the smallest kernel (largest parameter) on, until one lies inside
     order, first, count = np.argsort(-sizes, kind="stable"), 0, _TRIED
     while first < len(order):
         some = order[first : first + count]
@@ -278,6 +281,7 @@ def cloud(
     ends = number[graph.edges]
     whole = (ends >= 0).all(axis=1) & (ends[:, 0] != ends[:, 1])
     ends = np.sort(ends[whole], axis=1)
+    # cells around the box repeat tunnels of its other side: each pair of pores is joined once
     ends, first = np.unique(ends, axis=0, return_index=True)
     blocks = Blocks(np.ones(tuple(shape), bool), False)
     own = block[order]

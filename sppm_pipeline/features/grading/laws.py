@@ -173,6 +173,7 @@ class ImageLaw(DataLaw):
     def at(self, place: Place) -> NDArray[np.float64]:
         from scipy.ndimage import map_coordinates
 
+        # values belong to the centers of voxels; the outer half voxel continues them as a constant
         index = (place.points - self.origin) / self.spacing - 0.5
         index = np.clip(index, 0, np.array(self.values.shape) - 1)
         found = map_coordinates(self.values, index.T, np.float64, order=1, mode="nearest", prefilter=False)
@@ -312,6 +313,7 @@ class DistanceLaw(Law):
         # a point lies on the side of the one before if it is nearer to that than the surface is
         step = np.linalg.norm(np.diff(place.points, axis=0), axis=1)
         asked = np.concatenate([[True], step >= distance[:-1]])[: len(distance)]
+        # winding numbers, since a few gaps or overlaps of a mesh must not turn a side inside out
         inside = winding_numbers(self._poles, place.points[asked]) > 0.5
         return np.where(inside[np.cumsum(asked) - 1], distance, -distance)
 

@@ -42,6 +42,7 @@ def cell_means(
     key = (name, edge, origin, cells.tobytes())
     kept = _MEANS.get(grading)
     if kept is None or kept[0] != key:
+        # Gauss-Legendre quadrature of four points along each axis
         inner = np.stack(np.meshgrid(PLACES, PLACES, PLACES, indexing="ij"), -1).reshape(-1, 3)
         weights = np.einsum("i,j,k->ijk", WEIGHTS, WEIGHTS, WEIGHTS).ravel()
         values, here = np.empty(len(cells)), grading.in_cells(edge, origin)[name]
@@ -198,6 +199,7 @@ class LatticeCells:
         grid = self.grid(run[0], len(run))
         if isinstance(self.base, KernelSum) and self.base.additive:
             sums = self.base.sums(grid, self._threads_for(grid), self._rows_inside(run)).T
+            # ln G is compared with ln C: near the surface it is linear in the distance for pores of any size
             np.maximum(sums, np.float32(1e-9), out=sums)
             return np.log(sums, out=sums)
         return self.base.sample_zyx(grid, 0, self.n, self._threads_for(grid))
@@ -220,6 +222,7 @@ class LatticeCells:
         """
         level = self.base.sum_level
         assert level is not None
+        # the same comparison as in tuning, with nothing kept, since each cell is looked at once
         codes = CellCodes(self.sampled, math.log(level), HALF_RANGE, 0)
         control, runs = np.full(self.base.cells, math.log(level)), runs_along_x(cells, RUN)
         found = dict[tuple[int, int, int], float]()

@@ -135,6 +135,7 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
 
     if not micro.additive and "stretch" in grading:
         raise ConfigError("walls can't be stretched", hint="stretch structures that end with `field.gaussian`")
+    # maps give radii in mm: they are relative to the median kernel, about which those of the recipe may vary
     profile = TUNNEL_PROFILES[kernels.profile]
     usual = PORE_PROFILE.radius(float(np.median(kernels.omega)), micro.level) if len(kernels.omega) else 1.0
     factor, metric = shaped(pieces.first_pore, (kernels.centers,), "pore_radius", usual)

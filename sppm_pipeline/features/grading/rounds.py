@@ -112,6 +112,7 @@ def curve_of(
         """Go from n on by a factor until the porosity is enough; why it went no further."""
         try:
             found = probe(n) if n not in counts else float(np.mean(porosities[: counts.count(n)]))
+            # near 0 and 1 more or fewer pores hardly change the porosity, and the curve has no inverse
             while not enough(found) and 0.01 < found < 0.99 and n > FEWEST and len(counts) < MAX_COUNTS * trials:
                 n = max(FEWEST, round(n * factor))
                 found = probe(n)
@@ -177,6 +178,7 @@ def in_rounds(
         found = errors(number, made)
         if (known := np.isfinite(found)).any():
             summary = error_summary(found[known])
+            # the rms of each round shows whether more of them would help
             rms.append(summary["error_rms"])
             report = {**summary, "error_rms_of_rounds": rms}
         wanted = again(number, made, found)
@@ -206,6 +208,7 @@ def corrected(
     for own in np.flatnonzero(change < 0).tolist():
         begin, end = int(first[own]), int(first[own + 1])
         fewer = min(-int(change[own]), max(0, end - begin - FEWEST))
+        # at random, so that what is left is as irregular as before
         keep[order[begin + context.rng(number, own).permutation(end - begin)[:fewer]]] = False
     kept = KeptPores(pores.centers[keep], pores.piece[keep])
     return replace(blocks, kept=kept, added=np.maximum(change, 0))

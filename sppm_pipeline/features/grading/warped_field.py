@@ -130,6 +130,7 @@ class WarpedField(ScalarField):
         number[cell < 0] = -1
         order = np.argsort(number, kind="stable")
         ordered = number[order]
+        # grouped by cell, so that the samples of each are used together
         for one in np.unique(ordered[ordered >= 0]):
             chosen = order[np.searchsorted(ordered, one) : np.searchsorted(ordered, one, side="right")]
             interpolate(self._brick(tuple(int(k) for k in np.unravel_index(one, size))), places, chosen, values)
@@ -189,6 +190,7 @@ def least_and_largest_stretch(curved: CurvedCells, per_axis: int = 3) -> tuple[f
     t = (np.arange(per_axis) + 0.5) / per_axis
     within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
     cell = np.repeat(np.arange(curved.count), len(within))
+    # singular values of the derivative are the stretches along its principal directions
     sizes = np.linalg.svd(curved.derivatives(cell, np.tile(within, (curved.count, 1))), compute_uv=False)
     return float(sizes.min()), float(sizes.max())
 
@@ -208,6 +210,7 @@ def has_cubic_symmetry(base: ScalarField, n: int = 24) -> bool:
     """Test whether a periodic cell has the symmetry of a cube, so that it fits its neighbors in a mesh of any shape."""
     values = base.sample(n).astype(np.float64)
     values = values[:n, :n, :n]
+    # a third of a turn, a mirror at a diagonal plane and one at x generate all 48 symmetries of the cube
     slack = 1e-3 * float(np.abs(values).max())
     turned = (values.transpose(1, 2, 0), values.transpose(1, 0, 2), values[::-1])
     return all(float(np.abs(values - other).max()) <= slack for other in turned)

@@ -97,7 +97,9 @@ class Warper(Stage):
         stretch = np.cbrt(np.maximum(there.volume, 1e-9)), np.cbrt(np.maximum(middles.volume, 1e-9))
         if self.sizes == "fixed":
             stretch = np.ones_like(stretch[0]), np.ones_like(stretch[1])
+        # beyond the axis of a tube the mapping turns inside out: what lies there is left out
         good = there.volume > 0
+        # blocks that kernels do not reach beyond
         block = edge * max(1.0, micro.reach * float(np.max(stretch[0][good], initial=1.0)) / HALO)
         profile = micro.pieces.kernels.profile
         moved = graph._replace(points=np.where(good[:, None], there.points, np.inf))

@@ -15,6 +15,7 @@ LOCAL = ("127.0.0.1", "localhost")
 class LocalHandler(BaseHTTPRequestHandler):
     """Answer only requests of this machine that have the token in their path."""
 
+    # connections stay open between the many small requests of a slider
     protocol_version = "HTTP/1.1"
     timeout = 60  # seconds; a browser holds connections open, and each takes a thread
     server: LocalServer

@@ -32,6 +32,7 @@ def without_folders(value: Any) -> Any:
         return value
     if "\n" not in value and _is_absolute(value):
         return CUT + (PurePosixPath(value) if value[0] in "/~" else PureWindowsPath(value)).name
+    # quoted paths first, which may hold blanks; then what looks like one between blanks
     return _BARE.sub(CUT, _QUOTED.sub(CUT, value))
 
 

@@ -113,6 +113,7 @@ def _charts(names: Sequence[str], rows: Sequence[Sequence[Any]], params: Sequenc
         return []
     numbers = [n for n in names if n not in params and len({v for v in columns[n] if v is not None}) > 1]
     numbers.sort(key=_rank)
+    # every n-th row: more points than pixels only make the page large
     step = -(-len(rows) // MAX_POINTS)
     drawn = []
     for name in numbers[:MAX_CHARTS]:

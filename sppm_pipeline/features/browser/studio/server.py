@@ -109,6 +109,7 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
                     self._json(200, design.numbers(changes, target))
                     return
                 said, view = design.cell(changes, target)
+            # the page has asked again meanwhile, and ignores this answer
             except Superseded:
                 self._json(409, {"errors": [], "superseded": True})
             except SppmError as error:

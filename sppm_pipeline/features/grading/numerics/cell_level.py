@@ -54,6 +54,7 @@ def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDAr
     from scipy.spatial import cKDTree
 
     inverse = np.ascontiguousarray(np.linalg.inv(frames))
+    # the box around the ellipsoid in which a weight is positive
     reach = SUPPORT * np.linalg.norm(frames, axis=2)
     place = (centers - lattice.origin) / lattice.edge - 0.5
     low = np.clip(np.ceil(place - reach / lattice.edge), 0, lattice.shape).astype(np.int64)
@@ -162,6 +163,7 @@ def fit_cells(
     smooth = one - around
 
     def move(wanted: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+        # rows: a target change of the mean, the mean of the neighbors, or no change
         parts = [(means, known & ~held), (smooth, ~known & ~held), (one, held)]
         rows = sum(matrix.multiply(own[:, None].astype(float)) for matrix, own in parts)
         return np.asarray(spsolve(csc_array(rows), wanted))
@@ -170,17 +172,8 @@ def fit_cells(
 
 
 class CellSamples(NamedTuple):
-    """Samples in cells, all (n,) but for the places.
-
-    Attributes
-    ----------
-    place : (n, 3) float32
-        Counted in small cells of the control lattice from its low corner.
-    cell : int32
-    value : float32
-        What the level is compared with.
-    volume : float32
-        What each stands for.
+    """Samples in cells: places (n, 3) counted in small cells of the control lattice from its low corner, cells, values to
+    compare with the level, and the volume that each stands for.
     """
 
     place: NDArray[np.float32]
@@ -234,6 +227,7 @@ def _compare(
                 level += w[0, i] * w[1, j] * (w[2, 0] * row[k] + w[2, 1] * row[k + 1] + w[2, 2] * row[k + 2])
         excess = value[n] - level
         totals[0, cell[n]] += volume[n]
+        # void is where the value is at or above the level; samples near it estimate the slope
         if excess >= 0:
             totals[1, cell[n]] += volume[n]
         if abs(excess) < half_width:

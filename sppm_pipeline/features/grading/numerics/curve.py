@@ -56,6 +56,7 @@ def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
     n, value = np.array(counts), np.array(porosities)
     order = np.unique(n)
     means = np.array([value[n == c].mean() for c in order])
+    # means that fall behind an earlier one are scatter, and would fold the inverse
     growing = np.concatenate([[True], means[1:] > np.maximum.accumulate(means)[:-1]])
     if growing.sum() < 2:
         raise DesignError(
@@ -101,6 +102,7 @@ class StiffnessCurve(NamedTuple):
         log = np.log(self.moduli)
         curve = monotone_cubic(log[::-1], self.porosities[::-1]).at
         low, high = np.full(np.shape(porosity), log[-1]), np.full(np.shape(porosity), log[0])
+        # bisection: the inverse of a monotone cubic, to the last bit after 60 halvings
         for _ in range(60):
             middle = (low + high) / 2
             above = curve(middle) > porosity
@@ -126,6 +128,7 @@ def stiffness_curve(porosities: NDArray[np.float64], moduli: NDArray[np.float64]
     pooled: list[tuple[float, float, int]] = []
     for group in groups:
         pooled.append((float(x[group].mean()), float(y[group].mean()), len(group)))
+        # pool adjacent violators: neighbors that rise or share a place become one weighted mean
         while len(pooled) > 1 and (pooled[-1][1] >= pooled[-2][1] or pooled[-1][0] <= pooled[-2][0]):
             (a, u, n), (b, v, m) = pooled[-2:]
             pooled[-2:] = [((n * a + m * b) / (n + m), (n * u + m * v) / (n + m), n + m)]

@@ -126,6 +126,7 @@ def _throw(
             while placed < wanted and darts < DARTS * wanted + 1000:
                 x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
                 det = point_and_volume(nodes[e], x, y, z, p, d)
+                # places are uniform in the unit cube: rejection by the determinant makes them uniform in space
                 if by_volume and next_uniform(stream) * most > det:
                     continue
                 darts += 1
@@ -136,6 +137,7 @@ def _throw(
                     placed += 1
             if placed == wanted or attempt == ATTEMPTS - 1:
                 break
+            # a cell that jammed is emptied and thrown again, as adding to it would only find the last gaps
             for _ in range(placed):
                 _remove_last(cells)
         missing[e] = wanted - placed

@@ -75,6 +75,7 @@ class CellCodes:
                 codes[~inside] = np.iinfo(np.int16).min
             made.append(codes)
             with self._lock:
+                # first come, first kept: what does not fit is sampled again in each step
                 keep = codes.nbytes <= self._left
                 self._left -= codes.nbytes if keep else 0
             if keep:
@@ -98,6 +99,7 @@ def void_and_slope(
         x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
         near = np.ascontiguousarray(control[np.ix_(x, y, z)])
         inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
+        # Richardson: ramps of full and of half width differ by the error of second order, which cancels
         shares.append(((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0))
     return shares
 
@@ -140,6 +142,7 @@ def fit_level(
         return void, slope
 
     def move(change: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+        # cells outside of the part have no equation; a smooth extension keeps them from bending the level inside
         change = extended(change, known)
         return control_with_some_held(change, held) if held.any() else control_of_means(change)
 

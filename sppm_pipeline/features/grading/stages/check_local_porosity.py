@@ -117,6 +117,7 @@ class CheckLocalPorosity(Stage):
         x, y = target[there], measured[there]
         if curved is None:
             context.report(**error_summary(y - x))
+        # a constant target has no slope
         if x.std() > 1e-9:
             slope, intercept = np.polyfit(x, y, 1)
             context.report(slope=float(slope), intercept=float(intercept))

@@ -96,6 +96,7 @@ class GradedTiling(Stage):
         lattice = lattice_for(self.cell, self.cells, cover, None)
         edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
         lattice = Lattice(lattice.mask, edge, lattice.origin)
+        # each interior is in one place of the part, so that its number of pores can follow the map there
         arrays = self._arrays(lattice.mask)
         sites = sites_of(arrays)
         wanted = np.clip(sites, 0, np.array(lattice.mask.shape) - 1)  # beyond the part a map goes on as a constant
@@ -114,6 +115,7 @@ class GradedTiling(Stage):
             (int(x.max()) + 1, int(y.max()) + 1, int(z.max()) + 1),
             None if self.faces == "same" else meetings(arrays.interior, arrays.faces),
             totals=np.rint(count).astype(np.int64),
+            # the share of packing stays: spacing goes with the cube root of the volume per pore
             spacings=(total / count) ** (1 / 3),
             face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
         )
@@ -231,6 +233,7 @@ class _Redraws:
         further = number + 1 - self._rounds
         far = measured & (self._nearest > reach)
         if further <= 0:
+            # whole pores: what a fraction of one would correct is left to the level
             more = np.rint(np.where(measured, errors, 0.0) / slope).astype(np.int64)
             totals = np.where(measured, np.maximum(self.totals - more, FEWEST), self.totals)
             return self._with(totals, self._draws, measured & (more == 0) & (size > reach))

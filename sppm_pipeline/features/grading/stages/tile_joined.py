@@ -202,6 +202,7 @@ class JoinedTiling(Stage):
         obstacles = layout.around(number)
         n = max(FEWEST, round(float(count)))
         expected = (1 - share) * a.pores + share * b.pores
+        # sizes are mixed geometrically, as ratios matter, and shrink where more pores than expected have to fit
         spacing = a.spacing ** (1 - share) * b.spacing**share * min(1.0, (expected / n) ** (1 / 3))
         rng = context.rng(2, *key)
         for _ in range(60):
@@ -224,6 +225,7 @@ class JoinedTiling(Stage):
                 f"{n} pores find no room in the transition cell {(layout.between[number] - HALO).tolist()}"
             )
         low, high, _ = clamped_degrees(n, *self.degree)
+        # greedy: cells are small, and their graph is joined to fixed faces anyway
         edges, _ = spanning_subgraph(centers, (low, high), mode="greedy", periodic=False, k=10)
         omega, mu = (float(x ** (1 - share) * y**share) for x, y in ((a.omega, b.omega), (a.mu, b.mu)))
         return Transition(centers, edges, omega, mu)
