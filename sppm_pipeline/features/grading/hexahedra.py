@@ -56,8 +56,8 @@ MAX_BYTES = 64 * 2**20
 
 
 class MeshSize(NamedTuple):
-    """Size of a mesh of hexahedra for an estimate: elements, faces of the boundary, box, volume, area, and edges of cubes
-    as large as the smallest, the mean and the largest element; lengths in mm.
+    """Size of a mesh for an estimate: elements, boundary faces, box, volume, area, edges of cubes as large as the
+    smallest, mean and largest element; lengths in mm.
     """
 
     hexahedra: int

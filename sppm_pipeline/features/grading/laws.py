@@ -209,7 +209,7 @@ class PointsLaw(DataLaw):
         """Points of each tetrahedron, (k, 4): those of Delaunay."""
         from scipy.spatial import Delaunay
 
-        return Delaunay(self.points).simplices.astype(np.int64)
+        return np.asarray(Delaunay(self.points).simplices, np.int64)
 
     @cached_property
     def _tree(self) -> Any:

@@ -172,8 +172,8 @@ def fit_cells(
 
 
 class CellSamples(NamedTuple):
-    """Samples in cells: places (n, 3) counted in small cells of the control lattice from its low corner, cells, values to
-    compare with the level, and the volume that each stands for.
+    """Samples in cells: places (n, 3) counted in small cells of the control lattice from its low corner, cells, values
+    to compare with the level, and the volume that each stands for.
     """
 
     place: NDArray[np.float32]
