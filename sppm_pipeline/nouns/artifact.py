@@ -26,6 +26,7 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """A read-only, C-contiguous version of `array`; copies only if the data could still be written to."""
     array = np.ascontiguousarray(array)
     if array.flags.writeable:
+        # a view can still be written to through its base
         if array.base is not None or not array.flags.owndata:
             array = array.copy()
         array.setflags(write=False)
@@ -242,6 +243,7 @@ def shown(value: Any) -> str:
     """A value of a summary for people: numbers to six digits, long lists cut."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
+    # before numbers, as a bool is an int
     if isinstance(value, bool) or value is None:
         return str(value)
     if isinstance(value, float):
@@ -291,6 +293,7 @@ def _feed(h: Any, value: Any) -> None:
     """Hash `value` with its type and length in front, so that different structures can't collide by concatenation."""
     record = isinstance(value, tuple) and hasattr(value, "_fields")
     if record or (is_dataclass(value) and not isinstance(value, type)):
+        # fields with `compare=False` are caches, and no part of the value
         names = _given(value) if record else [f.name for f in fields(value) if f.compare]
         h.update(f"{type(value).__name__}{len(names)};".encode())
         for name in names:
@@ -305,6 +308,7 @@ def _feed(h: Any, value: Any) -> None:
             _feed(h, item)
     elif isinstance(value, dict):
         h.update(f"map{len(value)};".encode())
+        # by their text, since keys of different types do not compare
         for key in sorted(value, key=repr):
             _feed(h, key)
             _feed(h, value[key])

@@ -203,6 +203,7 @@ class Report(Artifact):
         super().__init_subclass__()
         entries = dict(cls._entries)
         for name, value in vars(cls).items():
+            # the function behind a property or a cached property carries the declaration
             function = getattr(value, "fget", None) or getattr(value, "func", None) or value
             declared = value.metadata.get(KEY) if isinstance(value, Field) else getattr(function, KEY, None)
             if declared:
@@ -222,6 +223,7 @@ class Report(Artifact):
         for name, declared in self._entries.items():
             value = getattr(self, name)
             value = value() if callable(value) else value
+            # an absent entry is left out, so that tables have no empty column for it
             if value is None and declared[0].optional:
                 continue
             for number, one in zip(declared, (value,) if len(declared) == 1 else value, strict=True):
@@ -241,6 +243,7 @@ class Report(Artifact):
             # a place that leads to several entries, such as `nu`, is shown as a whole under its own name
             entries = (one for one in cls.entries() if one.path == parts[: len(one.path)])
             entry = next(entries, Number(place))
+            # an index behind the entry belongs to its error bar, too
             rest = parts[len(entry.path) :]
             error = ".".join([entry.error, *rest]) if entry.error else ""
             found.append(Headline(place, (entry.label or entry.path[-1]) + "".join(rest), entry.unit, error))

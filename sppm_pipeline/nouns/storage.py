@@ -96,6 +96,7 @@ def save_value(value: Any, folder: Path, *, durable: bool = False) -> list[Store
         place: dict[str, Any] = {"dtype": array.dtype.str, "shape": list(array.shape), "fortran": fortran}
         if array.nbytes <= SMALL:
             place["at"] = size
+            # aligned, so that each can be viewed as any dtype
             size += -(-array.nbytes // _ALIGN) * _ALIGN
         else:
             place["file"] = f"{i:04}.npy"
@@ -175,6 +176,7 @@ class _Arrays:
             raise NotStorable(f"an array of {array.dtype}")
         if id(array) not in self._numbers:
             self._numbers[id(array)] = len(self._arrays)
+            # numbered by identity, so that arrays that artifacts share are shared again after loading
             contiguous = array.flags.c_contiguous or array.flags.f_contiguous
             self._arrays.append(array if contiguous else np.ascontiguousarray(array))
         return self._numbers[id(array)]
@@ -182,9 +184,11 @@ class _Arrays:
 
 def _encode(value: Any, arrays: _Arrays) -> Any:
     """`value` as JSON has it: plain values as they are, all else as a map with one key that says what it is."""
+    # exact types: a subclass, such as an enum, would come back as its base
     if value is None or type(value) in (bool, int, str):
         return value
     if type(value) is float:
+        # JSON has neither infinities nor NaN
         return value if math.isfinite(value) else {"float": repr(value)}
     if isinstance(value, Path):
         return {"path": str(value)}
@@ -203,6 +207,7 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
     if not isinstance(value, type) and _is_frozen(type(value)):
         fields = {}
         for field in dataclasses.fields(value):
+            # what is computed from other fields is computed again
             if not field.compare and _has_default(field):
                 continue
             if not field.init:
@@ -266,6 +271,7 @@ def _class_of(name: str, allowed: Callable[[Any], bool]) -> Any:
     found: Any = sys.modules.get(module) or importlib.import_module(module)
     for word in path.split("."):
         found = getattr(found, word)
+    # the file names a class, never a function to call: damaged or foreign data must not run code
     if not isinstance(found, type) or not allowed(found):
         raise TypeError(f"{name} is no class of a value")
     return found
@@ -285,6 +291,7 @@ def _npy_pieces(array: NDArray[Any]) -> list[memoryview]:
     fortran = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
     shape = "(" + "".join(f"{n}, " for n in array.shape) + ")"
     about = f"{{'descr': {array.dtype.str!r}, 'fortran_order': {fortran}, 'shape': {shape}, }}".encode()
+    # data begin at a multiple of 64 bytes, as NumPy writes them
     about += b" " * (-(len(about) + 13) % _ALIGN) + b"\n"
     return [memoryview(b"\x93NUMPY\x02\x00" + len(about).to_bytes(4, "little") + about), _buffer(array)]
 
@@ -300,6 +307,7 @@ def _write(path: Path, content: Iterable[memoryview], durable: bool) -> StoredFi
     """Write and hash in one pass."""
     digest = hashlib.sha256()
     size = 0
+    # unbuffered: pieces are large, and a buffer would be one copy more
     with path.open("xb", buffering=0) as file:
         for data in content:
             for start in range(0, len(data), _CHUNK):

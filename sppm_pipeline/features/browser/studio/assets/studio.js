@@ -227,11 +227,15 @@ byId("copy").addEventListener("click", async () => {
 });
 if (byId("save")) {
   byId("save").addEventListener("click", async () => {
-    const answer = await fetch("save", { method: "POST", body: JSON.stringify({ changes: Object.fromEntries(changed), anyway: saveAnyway }) });
-    const found = await answer.json();
-    saveAnyway = answer.status === 409; // only what the user was told of may be replaced
-    byId("save").textContent = saveAnyway ? "save all the same" : "save";
-    byId("said").textContent = answer.ok ? `saved ${found.saved}` : found.errors.map((one) => one.message).join("; ");
+    try {
+      const answer = await fetch("save", { method: "POST", body: JSON.stringify({ changes: Object.fromEntries(changed), anyway: saveAnyway }) });
+      const found = await answer.json();
+      saveAnyway = answer.status === 409; // only a change that the user has seen may be replaced
+      byId("save").textContent = saveAnyway ? "save all the same" : "save";
+      byId("said").textContent = answer.ok ? `saved ${found.saved}` : found.errors.map((one) => one.message).join("; ");
+    } catch (error) {
+      byId("said").textContent = `not saved: ${error.message}`;
+    }
   });
 }
 draw();
