@@ -16,9 +16,10 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.browser.live.data import MAGIC, encode_view, head_of
 from sppm_pipeline.features.browser.live.views import clustered, view_of
 from sppm_pipeline.features.browser.report.boxes import boxes, duration, porosities
-from sppm_pipeline.features.browser.report.build import read_record, report_html
+from sppm_pipeline.features.browser.report.build import report_html
 from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart, ticks
 from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of
+from sppm_pipeline.features.browser.report.records import read_record
 from sppm_pipeline.features.browser.report.wiring import wiring_svg
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh

@@ -16,8 +16,10 @@ from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.features.browser.live.data import head_of
 from sppm_pipeline.features.browser.live.page import ASSETS, live_page
 from sppm_pipeline.features.browser.live.views import view_of
-from sppm_pipeline.features.browser.report.build import read_record, report_html
+from sppm_pipeline.features.browser.report.build import report_html
+from sppm_pipeline.features.browser.report.records import read_record
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.numerics import Grid, cell_centers
 from sppm_pipeline.services.elastic.directional import sphere_mesh
 from sppm_pipeline.services.grid import Grid, cell_centers
 

@@ -37,7 +37,7 @@ def execute(args: Namespace) -> int:
 
 def is_current(directory: Path, target: Path) -> bool:
     """Test whether a page is the report of the run as recorded now."""
-    from sppm_pipeline.features.browser.report.build import read_record
+    from sppm_pipeline.features.browser.report.records import read_record
 
     seal = read_record(directory).get("sha256")
     try:

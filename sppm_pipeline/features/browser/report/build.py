@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.verification import differences, verify_run
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.browser.live.data import head_of
@@ -28,7 +25,7 @@ from sppm_pipeline.features.browser.live.page import (
 from sppm_pipeline.features.browser.report.boxes import boxes, duration
 from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart
 from sppm_pipeline.features.browser.report.layers import Layers, layers_of, outputs_of, pictures_of
-from sppm_pipeline.features.browser.report.privacy import without_folders
+from sppm_pipeline.features.browser.report.records import without_folders
 from sppm_pipeline.features.browser.report.results import kinds_of, sections_of
 from sppm_pipeline.features.browser.report.sweeps import sweep_context
 from sppm_pipeline.features.browser.report.wiring import wiring_svg
@@ -46,27 +43,6 @@ LONGEST_NAME = 300
 
 LONGEST_TEXT = 200_000
 """Characters of the configuration that are shown."""
-
-
-def read_record(path: Path) -> dict[str, Any]:
-    """The record of a run, sound or not.
-
-    Raises
-    ------
-    InputError
-        If the directory holds none.
-    """
-    try:
-        record = json.loads((path / RECORD).read_bytes())
-    except FileNotFoundError:
-        raise InputError(
-            f"{str(path)!r} holds no run: there is no {RECORD}", hint="name the directory of a run"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{str(path / RECORD)!r} can't be read: {error}", hint="see `sppm verify`") from error
-    if not isinstance(record, dict) or RECORD_KEY not in record:
-        raise InputError(f"{str(path / RECORD)!r} is no record of a run")
-    return record
 
 
 def report_html(

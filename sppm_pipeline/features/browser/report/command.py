@@ -99,8 +99,9 @@ def of_run(
     from sppm_pipeline.engine.plan.session import RunRequest
     from sppm_pipeline.engine.run.outputs import RECORD
     from sppm_pipeline.engine.run.runner import available_threads
-    from sppm_pipeline.features.browser.report.build import read_record, report_html
+    from sppm_pipeline.features.browser.report.build import report_html
     from sppm_pipeline.features.browser.report.layers import outputs_of
+    from sppm_pipeline.features.browser.report.records import read_record
     from sppm_pipeline.features.browser.report.views import live_view
 
     threads, record = available_threads(), read_record(path)

@@ -14,7 +14,7 @@ from sppm_pipeline.features.browser.live.page import json_block
 from sppm_pipeline.features.browser.report.boxes import duration
 from sppm_pipeline.features.browser.report.charts import line_chart
 from sppm_pipeline.features.browser.report.layers import outputs_of, pictures_of
-from sppm_pipeline.features.browser.report.privacy import without_folders
+from sppm_pipeline.features.browser.report.records import without_folders
 from sppm_pipeline.nouns.artifact import shown
 from sppm_pipeline.nouns.report import Box, Curve
 from sppm_pipeline.stage import FAMILIES

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from sppm_pipeline.engine.strict_json import json_text, sealed
-from sppm_pipeline.features.browser.report.build import read_record, report_html
-from sppm_pipeline.features.browser.report.privacy import without_folders
+from sppm_pipeline.features.browser.report.build import report_html
+from sppm_pipeline.features.browser.report.records import read_record, without_folders
 
 
 @pytest.mark.parametrize(

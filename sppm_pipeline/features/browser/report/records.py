@@ -1,11 +1,16 @@
-"""Records without the folders of the disk they were made on: reports are mailed, and folders hold names of people."""
+"""Run records as reports show them: without the folders of the disk, since reports are mailed to others."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
-from pathlib import PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
+
+from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.run.outputs import RECORD
+from sppm_pipeline.errors import InputError
 
 CUT = "…/"
 """Replaces the folders of an absolute path."""
@@ -13,6 +18,27 @@ CUT = "…/"
 _ROOT = r"(?:/|~/|[A-Za-z]:[\\/]|\\\\)"
 _QUOTED = re.compile(rf"(?<=['\"`]){_ROOT}[^'\"`\n]*[\\/](?=[^'\"`\n]*['\"`])")  # may hold blanks
 _BARE = re.compile(rf"(?<![\w.:/…~\\'\"`-]){_ROOT}(?:[^\s'\"`,;:()\\/]+[\\/])+")
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record of a run, sound or not.
+
+    Raises
+    ------
+    InputError
+        If the directory holds none.
+    """
+    try:
+        record = json.loads((path / RECORD).read_bytes())
+    except FileNotFoundError:
+        raise InputError(
+            f"{str(path)!r} holds no run: there is no {RECORD}", hint="name the directory of a run"
+        ) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{str(path / RECORD)!r} can't be read: {error}", hint="see `sppm verify`") from error
+    if not isinstance(record, dict) or RECORD_KEY not in record:
+        raise InputError(f"{str(path / RECORD)!r} is no record of a run")
+    return record
 
 
 def without_folders(value: Any) -> Any:
