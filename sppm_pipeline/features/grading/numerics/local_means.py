@@ -21,7 +21,11 @@ def block_counts(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Voxels that are void and inside, and all that are inside, in blocks of `size` along each axis.
 
-    Arrays are (nz, ny, nx), multiples of `size` along all axes; `inside` is None for all.
+    Parameters
+    ----------
+    void, inside : (nz, ny, nx) bool
+        Multiples of `size` along all axes; None for all inside.
+    size : int
     """
     nz, ny, nx = (n // size for n in void.shape)
 
