@@ -28,15 +28,8 @@ _CELLS_AT_A_TIME = 2000
 
 
 class ControlLattice(NamedTuple):
-    """Lattice of the control points of the spline, which lie in the middles of small cells.
-
-    Attributes
-    ----------
-    shape : tuple of 3 ints
-    edge : float
-        Of a small cell, mm.
-    origin : (3,) float64
-        Low corner of the first one, mm.
+    """Lattice of the control points of the spline, which lie in the middles of small cells of an edge, mm; `origin` is the
+    low corner of the first one.
     """
 
     shape: tuple[int, int, int]
