@@ -28,7 +28,7 @@ _CELLS_AT_A_TIME = 2000
 
 
 class ControlLattice(NamedTuple):
-    """Lattice of the control points of the spline, which lie in the middles of small cells of an edge, mm; `origin` is the
+    """Lattice of the control points of the spline, in the middles of small cells of an edge, mm; `origin` is the
     low corner of the first one.
     """
 
