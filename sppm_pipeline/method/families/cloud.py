@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.length import Cell, Length
 
 
 class Piece(NamedTuple):
@@ -31,6 +32,22 @@ class Piece(NamedTuple):
     region: str
     cell: Cell
     graded: bool = False
+
+
+@dataclass(frozen=True)
+class CellCube(Cell):
+    """A cube of cells taken for one cell, as `Piece.periodic` asks for it: lengths become fractions of the whole cube.
+
+    Attributes
+    ----------
+    cells : int
+        Number of cells along its edge.
+    """
+
+    cells: int = 1
+
+    def fraction(self, length: Length) -> float:
+        return super().fraction(length) / self.cells
 
 
 class Cloud(NamedTuple):

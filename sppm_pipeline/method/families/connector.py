@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families.cloud import Cloud, Piece
+from sppm_pipeline.method.families.cloud import CellCube, Cloud, Piece
 from sppm_pipeline.method.families.interiors import MANY
 from sppm_pipeline.method.families.scattered import joined
 from sppm_pipeline.method.nouns.pores import PoreSet
@@ -100,10 +100,8 @@ class Connector(Stage):
         if n <= WINDOW_PORES and (cubic or not any(cloud.periodic)):
             # a periodic piece is a unit cube
             scale = size if cubic else 1
-            edges, shifts = self._joined(
-                context.rng(0),
-                Piece(cloud.points / scale, cubic, "interior", replace(cloud.cell, edge=scale * cloud.cell.edge)),
-            )
+            cell = CellCube(cloud.cell.edge, cloud.cell.physical, scale) if cubic else cloud.cell
+            edges, shifts = self._joined(context.rng(0), Piece(cloud.points / scale, cubic, "interior", cell))
             return [(edges, shifts * scale)]
         lattice = Lattice(cloud.points, cloud.first, cloud.lattice, cloud.period)
         margin = WINDOW_MARGIN * cloud.spacing

@@ -38,7 +38,7 @@ class Sampler(Stage):
 
     edge: Length | None = options.edge(
         None,
-        note="the lengths of this recipe are given in a cell of this size, 1 if omitted",
+        note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
         unit=None,
         above=None,
         minimum=1e-6,

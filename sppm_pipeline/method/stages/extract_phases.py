@@ -100,7 +100,7 @@ class ExtractPhases(Stage):
         from sppm_pipeline.method.porosity.shell import in_shell
 
         assert self.coating is not None
-        thickness = self.coating.value if self.coating.unit is None else self.coating.mm() / field.physical_edge()
+        thickness = self.coating.in_cells(field.edge_mm)
         if thickness * self.resolution * RESOLVED_WALL < 1:
             context.warn(
                 f"the coating is {thickness * self.resolution:.2g} voxels thick and may look broken; "

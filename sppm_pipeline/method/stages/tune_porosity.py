@@ -200,7 +200,7 @@ class TunePorosity(Stage):
         def reached(gap: float) -> float:
             changed = {i: dict(options.get(i, {})) for i in {*samplers, *options}}
             for i in samplers:
-                changed[i]["gap"] = Length(gap * first.cell.edge)
+                changed[i]["gap"] = Length(gap, "cell")
             found[gap] = self._draw_pores(context, recipe, changed)
             context.progress(len(found), self.evaluations, "gaps tried")
             return self._porosity(context, found[gap], finer)

@@ -44,14 +44,14 @@ def test_the_level_meets_any_target(recipe, target):
 def test_by_gap():
     context = PlainContext(3)
     recipe = recipe_of(
-        MirroredFaces(count=9, spacing=Length(0.32), edge=Length(2)),
-        DartThrowing(count=14, spacing=Length(0.32)),
+        MirroredFaces(count=9, spacing=Length(0.16, "cell"), edge=Length(2)),
+        DartThrowing(count=14, spacing=Length(0.16, "cell")),
         MinimumSpanningTree(),
-        GaussianField(pore_radius=Length(0.24), tunnel_radius=Length(0.08)),
+        GaussianField(pore_radius=Length(0.12, "cell"), tunnel_radius=Length(0.04, "cell")),
     )
     ends = []
-    for gap in (0.34, 0.48):
-        changed = {"sample.dart_throwing": {"gap": Length(gap)}}
+    for gap in (0.17, 0.24):
+        changed = {"sample.dart_throwing": {"gap": Length(gap, "cell")}}
         ends.append(porosity(recipe.run(PlainContext(3), options=changed), 48))
     target = sum(ends) / 2
     micro = TunePorosity(target=target, by="gap", resolution=32, tolerance=0.003).run(context, recipe)
