@@ -24,7 +24,7 @@ from sppm_pipeline.features.grading.graded import (
 )
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
-from sppm_pipeline.method.families.tiler import HALO, ROOM, TOLD, Scattering, without_faces
+from sppm_pipeline.method.families.tiler import HALO, REPORTED_CELLS, TRIAL_BLOCKS, Scattering, without_faces
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.nouns.palette import Blocks, StretchedBlocks
@@ -139,7 +139,7 @@ class GradedCloud:
         cells = self._cells_of(context, made, n, places.get(n))
         places[n] = cells.places
         # nothing is put right in the end: some cells, spread over all, tell the errors that are left
-        some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // TOLD))
+        some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // REPORTED_CELLS))
         place = np.array(cells.cells)
         of = len(place[some])
 
@@ -248,7 +248,7 @@ class GradedCloud:
                 "the number of pores can't follow both the map 'spacing' and a porosity",
                 hint="leave one out; with a porosity the map `scale` makes pores finer",
             )
-        blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
+        blocks = Blocks(np.ones((TRIAL_BLOCKS,) * 3, bool), True)
         pores = scattered(context, self.wanted.recipe, None, 1, blocks).graph.pores
         if pores.spacing is None:
             raise ConfigError(

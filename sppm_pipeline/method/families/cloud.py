@@ -1,4 +1,4 @@
-"""What connectors are given to join: the pores of one piece, or of a whole lattice of blocks."""
+"""Pores that connectors join: the pores of one piece, or of a whole lattice of blocks."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Cloud(NamedTuple):
     cell : Cell
         Turns the user's lengths into cell sizes.
     metric : (n, 6) float64 or None
-        Metrics of the pores, see `numerics.metric`: the distance of two is measured in the mean of theirs. Only
+        Metrics of the pores, see `services.metric`: the distance of two is measured in the mean of theirs. Only
         connectors that follow them are given any.
     """
 

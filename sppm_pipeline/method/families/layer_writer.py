@@ -22,7 +22,7 @@ from sppm_pipeline.stage import Context, Headline, Stage, option
 
 
 class LayerObserver(Protocol):
-    """What looks at the layers as they pass, as a thumbnail does.
+    """Observer of the layers as they pass, such as a thumbnail.
 
     One that has an attribute `wanted`, a collection of numbers, may be shown these layers only; where workers make the
     layers, others need not travel then.
@@ -42,7 +42,7 @@ class EncodedLayers:
     bytes : int
         Their size.
     findings : dict
-        Empty until the last layer was taken; then what the stack found out on the way, such as the solid volume.
+        Empty until the last layer was taken; then what the stack determined on the way, such as the solid volume.
     observer : LayerObserver or None
         What `LayerWriter.observer` made; it has seen all layers when the last of them was taken.
     """
@@ -121,7 +121,7 @@ class LayerWriter(Stage):
         """
 
     def takes_bits(self, stack: SliceStack) -> bool:
-        """Whether layers of black and white are handed to `encode_bits` where they are there as bits."""
+        """True if layers of black and white are passed to `encode_bits` where they are there as bits."""
         return False
 
     def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
@@ -176,7 +176,7 @@ class LayerWriter(Stage):
         return {}
 
     def observer(self, stack: SliceStack) -> LayerObserver | None:
-        """What is to see the layers as they pass, for `store` to use; nothing by default."""
+        """Observer of the layers as they pass, for `store` to use; nothing by default."""
         return None
 
     def facts(self, stack: SliceStack, findings: dict[str, Any]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 # solvers and materials
 EACH_PHASE = "or of each phase from 1 on"
 iterations = _shared("maximum number of solver iterations for a load case", minimum=1, maximum=1_000_000)
-residual = _shared("the solver stops at this residual over the right-hand side", minimum=1e-14, maximum=0.1)
+residual = _shared("relative residual at which the solver stops", minimum=1e-14, maximum=0.1)
 young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
 poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
 stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))

@@ -50,7 +50,7 @@ def image_of(rows: NDArray[np.uint64], stack: SliceStack) -> NDArray[np.uint8]:
 
 
 class EncodedSlab(NamedTuple):
-    """What a worker hands back.
+    """Result of a worker.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ def encode_slab(common: tuple[SampledSlices, Encoder], task: SlabTask) -> Encode
 
 
 def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
-    """Whether the layers of a stack are given to the workers of a run."""
+    """True if the layers of a stack are made by the workers of a run."""
     if not context.workers or not isinstance(stack, SampledSlices) or stack.is_kept:
         return False
     if not context.worth_workers(math.prod(stack.samples.shape)):

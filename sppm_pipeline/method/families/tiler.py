@@ -30,7 +30,8 @@ MEASURED_CLOSELY, COARSEST = 127, 6
 """Cells up to which the porosity is measured at the full resolution, and voxels along an edge that many are given."""
 
 SPARE_SAMPLES = 2**20
-"""Samples of a box of cells that is measured at once though most of them are not there; a choice."""
+"""Samples of a box of cells that is measured at once though most of them are not there (heuristic: only speed depends
+on it)."""
 
 
 class Lattice(NamedTuple):
@@ -107,22 +108,22 @@ alone, so that none would lie on the far edges."""
 
 
 def laid_cells(made: Size, periodic: bool) -> float:
-    """How many cells are laid for a tiling of this size, its halo included."""
+    """Number of cells that are laid for a tiling of this size, its halo included."""
     if periodic:
         return made.cells
     x, y, z = (n + 2.0 * HALO for n in made.body.box)
     return min(x * y * z, made.cells + HALO * made.body.envelope)
 
 
-ROOM = 2
+TRIAL_BLOCKS = 2
 """Blocks along an edge of boxes that repeat, by which the porosity of scattered pores is known before they are laid."""
 
-TOLD = 64
-"""Cells, spread over the part, by which the errors that the last round leaves are told."""
+REPORTED_CELLS = 64
+"""Cells, spread over the part, on which the errors that the last round leaves are measured and reported."""
 
 
 class Scattering(NamedTuple):
-    """What is to be scattered, as options and inputs of `tile.scattered` say.
+    """Request for scattered pores, as options and inputs of `tile.scattered` say.
 
     Attributes
     ----------
@@ -222,13 +223,14 @@ class Tiler(Stage):
         halo = 0 if self.periodic else HALO
         mask = with_halo(lattice.mask, halo)
         interior, faces = checked_lay(self.name, self.lay(context.rng(), mask, tileset), mask, tileset)
+        # faces at both ends of a box that repeats are one
         if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
             raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
         return Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
 
 
 def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
-    """What `lay` returned, if it is what it should be.
+    """Checked result of `lay`.
 
     Raises
     ------
@@ -261,7 +263,7 @@ def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet)
 def measured_per_edge(cells: float, resolution: int) -> int:
     """Voxels along the edge of a cell at which `at_porosity` measures so many cells.
 
-    Cells that are drawn one by one differ by some per cent in porosity, and those at the rim count by the share that
+    Cells that are drawn one by one differ by some percent in porosity, and those at the rim count by the share that
     lies in the part. So all of them are measured, and the more there are, the fewer samples each takes; fewer than
     `COARSEST` would see where in a cell they lie.
     """
@@ -284,6 +286,7 @@ def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.in
     lower, size = cells.min(0), np.ptp(cells, 0) + 1
     if size.prod() <= max(2 * len(cells), spare):
         return [(lower, (int(size[0]), int(size[1]), int(size[2])))]
+    # halves along the longest axis, until no box is mostly empty
     axis = int(size.argmax())
     low = cells[:, axis] < lower[axis] + size[axis] // 2
     return [*boxes_of(cells[low], spare), *boxes_of(cells[~low], spare)]
@@ -330,6 +333,7 @@ def at_porosity(
             f"no voxel of {per_edge} along a cell edge lies in the part, so that its porosity can't be measured",
             hint="raise `resolution`, or give smaller cells",
         )
+    # a quantile of G: the share of samples below the level is the solid
     micro = micro.with_level(level_for_porosity(samples, porosity).level)
     return Tiling(TileSet(micro, tiling.tileset.kind, 0), tiling.arrays, tiling.edge, tiling.origin)
 

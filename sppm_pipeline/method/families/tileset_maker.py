@@ -38,7 +38,7 @@ class TileSetMaker(Stage):
 
     @abstractmethod
     def palette(self) -> Palette:
-        """What the recipe has to supply."""
+        """Palette that the recipe has to supply."""
 
     @abstractmethod
     def trial(self) -> list[TilingArrays]:

@@ -27,8 +27,9 @@ from sppm_pipeline.method.kernels.kernels import log_normal_factors
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES, TunnelProfile
 from sppm_pipeline.nouns.size import Geometry
 
-NARROWEST, WIDEST = 1e-3, 8.0
-"""Cell sizes from the axis of a kernel to where it is cut off."""
+MIN_REACH, MAX_REACH = 1e-3, 8.0
+"""Cell sizes from the axis of a kernel to where it is cut off. A narrower one is missed by every grid; a wider one
+is summed in more than 4000 cells around its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +78,7 @@ class GaussianField(Stage):
         reaches = float(PORE_PROFILE.reach(omega, CUTOFF)), float(profile.reach(mu, CUTOFF))
         porosity, surface = expected_structure(cell.pores, cell.tunnels, *radii)
         kernels = kernels_at_a_point(cell.pores, cell.tunnels, *reaches)
+        # what is below this level is summed sample by sample, see `Microstructure.coarse_pitch`
         coarse = 1 / finest_pitch(omega, mu, self.tunnel, self.level) if self.level >= LOWEST_LEVEL else math.inf
         made = Geometry(
             edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches), coarse=coarse
@@ -137,9 +139,9 @@ class GaussianField(Stage):
 
     def _check_reach(self, name: str, reach: NDArray[np.float64]) -> None:
         """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""
-        if len(reach) and not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
+        if len(reach) and not (reach.min() >= MIN_REACH and reach.max() <= MAX_REACH):
             raise ConfigError(
                 f"option {name!r} is {getattr(self, name)}, which makes kernels that reach {reach.min():.3g} to "
-                f"{reach.max():.3g} cell sizes; allowed are {NARROWEST:g} to {WIDEST:g}",
+                f"{reach.max():.3g} cell sizes; allowed are {MIN_REACH:g} to {MAX_REACH:g}",
                 hint="lengths without a unit are fractions of the cell size",
             )

@@ -25,7 +25,7 @@ from sppm_pipeline.features.grading.graded import trial
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.hexahedra import cells_of_mesh, check_path, size_of_mesh
 from sppm_pipeline.features.grading.hexahedral_cloud import RIM, HexahedralCloud
-from sppm_pipeline.method.families.tiler import ROOM
+from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
 
 NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch")
@@ -104,7 +104,7 @@ class HexahedralTiling(Stage):
             recipe(palette, drawn)
             return made.at_porosity(None, **counts)
         times, n = 1 + self.rounds, self.resolution
-        recipe(palette, drawn * times + 8 * ROOM**3 * self.trials)
+        recipe(palette, drawn * times + 8 * TRIAL_BLOCKS**3 * self.trials)
         h = max(least / (FINEST * n), FINER * edge / made.body.coarse)
         nx, ny, nz = (side / h for side in mesh.box)
         counts |= {"samples": cells * float(n) ** 3 * times, "sums": nx * ny * nz * made.body.kernels * times}

@@ -30,7 +30,7 @@ from sppm_pipeline.features.grading.joined import JoinedSets, Transition, Union
 from sppm_pipeline.features.grading.joined_sizes import Laid, TwoSizes, beside, faces_without, refined
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families.interiors import FEWEST
+from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
 
@@ -152,7 +152,7 @@ class JoinedTiling(Stage):
             context.progress(turn + 1, self.rounds + 1, "rounds")
             if turn == self.rounds or not step.any():
                 return None
-            counts = np.maximum(counts - step, FEWEST)
+            counts = np.maximum(counts - step, MIN_PORES)
             return turn + 1, counts
 
         made, report = in_rounds((0, counts), laid, errors, again)
@@ -214,7 +214,7 @@ class JoinedTiling(Stage):
 
         a, b = usual
         obstacles, around = layout.around(number)
-        n = max(FEWEST, round(float(count)))
+        n = max(MIN_PORES, round(float(count)))
         expected = (1 - share) * a.pores + share * b.pores
         spacing = a.spacing ** (1 - share) * b.spacing**share * min(1.0, (expected / n) ** (1 / 3))
         rng = context.rng(2, *key)
