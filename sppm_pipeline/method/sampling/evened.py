@@ -130,7 +130,8 @@ def even_out(
 
 def _shortened(step: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
     length = np.sqrt((step**2).sum(1, keepdims=True))
-    return step * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+    shortened: NDArray[np.float64] = step * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+    return shortened
 
 
 def _long_waves(wave: float, reach: float) -> tuple[_Potential, float]:
