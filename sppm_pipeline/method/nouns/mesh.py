@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,9 @@ from sppm_pipeline.nouns.artifact import (
     whole_numbers,
 )
 from sppm_pipeline.services.paging import blocks
+
+if TYPE_CHECKING:
+    from sppm_pipeline.services.mesh.outer_surface import OuterSurface
 
 _MOST_VERTICES = 2**31 - 1
 
@@ -76,6 +80,12 @@ class SurfaceMesh(Viewable):
         mesh = cls(vertices, faces, name)
         mesh.__dict__["_measured"] = box_and_volume  # where the property would keep them
         return mesh
+
+    def with_volume(self, volume: float) -> SurfaceMesh:
+        """The same mesh with the volume of its union; not a number if it encloses none."""
+        made = replace(self)
+        made.__dict__.update(self.__dict__, _measured=(self.lower, self.upper, volume))
+        return made
 
     @classmethod
     def handed_on(
@@ -148,6 +158,16 @@ class SurfaceMesh(Viewable):
         return edge_counts(self.faces).bounds_solid
 
     @cached_property
+    def outer_surface(self) -> OuterSurface | None:
+        """The surface of the union of its shells, if some of its triangles lie within others; else None.
+
+        The faces must be wound outwards.
+        """
+        from sppm_pipeline.services.mesh.outer_surface import outer_surface
+
+        return outer_surface(self.vertices, self.faces)
+
+    @cached_property
     def _measured(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
         """Low and high corner, and volume."""
         from sppm_pipeline.services.mesh.measures import box_and_volume
@@ -177,7 +197,7 @@ class SurfaceMesh(Viewable):
         return render_mesh(self.vertices, self.faces, size=NOTEBOOK_SIZE)
 
     def summary(self) -> dict[str, Any]:
-        """Counts, box and signed volume."""
+        """Counts, box and signed volume, None if there is none."""
         vertices, triangles = self.counts
         if not triangles:
             return {"name": self.name, "vertices": vertices, "triangles": 0}
@@ -186,7 +206,7 @@ class SurfaceMesh(Viewable):
             "vertices": vertices,
             "triangles": triangles,
             "size_mm": [float(v) for v in self.upper - self.lower],
-            "volume_mm3": self._measured[2],
+            "volume_mm3": None if math.isnan(self._measured[2]) else self._measured[2],
         }
 
 

@@ -157,15 +157,23 @@ class DomainSampler:
         from sppm_pipeline.method.part.crossings import grid_crossings, unit_normals
 
         if self._normals is None:
-            self._normals = unit_normals(self._corners())
+            outer = self._domain.outer_surface
+            self._normals = unit_normals(self._domain.vertices[self._domain.faces])
+            if outer is not None:  # pieces may be too small for a normal of their own
+                self._normals = np.ascontiguousarray(self._normals[outer.owners])
         return grid_crossings(self._corners(), self._normals, self._world, start, stop)
 
     def _chosen(self) -> NDArray[np.float64]:
         if self._skin_corners is None:
-            self._skin_corners = np.ascontiguousarray(self._corners()[self._skin_faces])
+            outer, chosen = self._domain.outer_surface, self._skin_faces
+            if outer is not None and chosen is not None:
+                chosen = np.flatnonzero(np.isin(outer.owners, chosen)).astype(np.int32)
+            self._skin_corners = np.ascontiguousarray(self._corners()[chosen])
         return self._skin_corners
 
     def _corners(self) -> NDArray[np.float64]:
+        """Corners of the triangles, or of the pieces of them that are surface where shells overlap."""
         if self._triangles is None:
-            self._triangles = self._domain.vertices[self._domain.faces]
+            outer = self._domain.outer_surface
+            self._triangles = self._domain.vertices[self._domain.faces] if outer is None else outer.triangles
         return self._triangles

@@ -49,7 +49,8 @@ class ReadMesh(Stage):
     The unit that a file or its format states is honored, and so is its upward axis: 3MF files name their unit, GLB
     files are in meters with y up; other formats are read if the library trimesh reads them. Then the mesh is
     turned, then scaled, then placed. Names of groups are kept (objects, groups and materials of OBJ, objects of 3MF,
-    solids of an ASCII STL), so that `skin_groups` of `fill.implicit` can choose among them.
+    solids of an ASCII STL), so that `skin_groups` of `fill.implicit` can choose among them. Shells that are wound
+    inside out are turned. The volume is that of the union of all shells; a mesh that does not close has none.
     """
 
     name: ClassVar[str] = "read.mesh"
@@ -101,6 +102,7 @@ class ReadMesh(Stage):
         """Read the file."""
         from sppm_pipeline.features.files.formats.detect import decode_mesh_file
         from sppm_pipeline.services.mesh.measures import edge_counts, volume
+        from sppm_pipeline.services.mesh.orientation import orient
         from sppm_pipeline.services.mesh.rotation import rotated, rotation, upright
 
         file = decode_mesh_file(content_of(self.path, LARGEST_FILE), self.path.name)
@@ -128,7 +130,7 @@ class ReadMesh(Stage):
                 f"{self.path.name} states no unit, and in mm it is only {_sides(upper - lower)} mm in size; `unit: in` "
                 f"would make it {_sides((upper - lower) * UNITS_IN_MM['in'])} mm; `unit: mm` says that it is right"
             )
-        counts, enclosed = edge_counts(faces), volume(vertices, faces)
+        counts = edge_counts(faces)
         context.report(
             unit=self.unit or file.unit or "mm",
             mm_per_unit=mm,
@@ -136,9 +138,18 @@ class ReadMesh(Stage):
             closed=counts.closed,
             boundary_edges=counts.boundary,
         )
-        if counts.consistent and enclosed < 0:
+        enclosed = math.nan  # the sum over the triangles of an open mesh depends on where it is
+        if counts.bounds_solid:
+            wound = orient(vertices, faces)
+            if wound.turned == len(faces):
+                context.warn("the mesh was wound inside out; its faces have been turned")
+            elif wound.turned:
+                context.warn(f"{wound.turned} triangles belong to shells that were wound inside out; they were turned")
+            faces = wound.faces
+        elif counts.consistent and volume(vertices, faces) < 0:
             context.warn("the mesh was wound inside out; its faces have been turned")
             faces = faces[:, ::-1]
+        made = SurfaceMesh(vertices, faces, self.path.name, file.groups)
         if not counts.bounds_solid:
             message = (
                 f"{self.path.name} does not bound a volume: {counts.boundary} open edges, {counts.non_manifold} edges "
@@ -151,14 +162,20 @@ class ReadMesh(Stage):
                     "or `fill.implicit` find out whether it can be filled all the same",
                 )
             context.warn(message)
-        elif abs(enclosed) <= FLAT * float((upper - lower).prod()):
-            raise InputError(
-                f"{self.path.name} encloses nothing: its volume is {enclosed:g} mm3",
-                hint="are its faces there twice, back to back?",
-            )
+        else:
+            summed = volume(made.vertices, made.faces)
+            enclosed = summed if made.outer_surface is None else made.outer_surface.volume
+            if enclosed <= FLAT * float((upper - lower).prod()):
+                raise InputError(
+                    f"{self.path.name} encloses nothing: its volume is {enclosed:g} mm3",
+                    hint="are its faces there twice, back to back?",
+                )
+            if summed - enclosed > FLAT * enclosed:
+                context.report(overlap_mm3=summed - enclosed)
+        made = made.with_volume(enclosed)
         if file.groups:
             context.report(groups=list(dict.fromkeys(name for name, _, _ in file.groups))[:LISTED_GROUPS])
-        return SurfaceMesh(vertices, faces, self.path.name, file.groups)
+        return made
 
 
 def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
