@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.services.pictures.shading import Color
 from sppm_pipeline.services.pictures.sheets import contact_sheet
 
@@ -135,3 +136,19 @@ def orientations_sheet(
         f"Voxels of {voxel:.3g} mm hide what is thinner"
     )
     return contact_sheet(pictures, labels, columns=6, title=title, gap=16, text_size=17)
+
+
+def drains_sheet(part: SurfaceMesh, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """A part from two opposite sides, above and below, with the plugs (n, 3), (m, 3) of its drains in color."""
+    from sppm_pipeline.services.pictures.camera import Camera
+    from sppm_pipeline.services.pictures.mesh_view import render_mesh
+
+    points = np.concatenate([part.vertices, vertices])
+    triangles = np.concatenate([part.faces, faces + len(part.vertices)])
+    colors = np.repeat([MARKS[1][1], MARKS[5][1]], [len(part.faces), len(faces)], axis=0).astype(np.uint8)
+    views = [Camera(azimuth, elevation) for azimuth in (-60.0, 120.0) for elevation in (25.0, -25.0)]
+    pictures = [
+        render_mesh(points, triangles, camera=view, size=(_PANEL, _PANEL), face_colors=colors) for view in views
+    ]
+    labels = [f"{'above' if view.elevation > 0 else 'below'}, from {view.azimuth:g} degrees" for view in views]
+    return contact_sheet(pictures, labels, columns=2, text_size=15)
