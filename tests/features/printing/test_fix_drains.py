@@ -161,10 +161,12 @@ def test_what_is_to_be_kept_clear_is(wang_tiling):
     assert all(drain[5] > part.domain.upper[2] - 0.1 for drain in free.drains)  # they open on top
     vertices, faces = box_mesh((8.0, 6.0, 9.5), (20.0, 20.0, 1.0))  # just above
     context = PlainContext()
-    stage = FixDrains(diameter=Length(0.8), toward=(0.0, 0.0, 1.0))
+    stage = FixDrains(diameter=Length(0.8), toward=(0.0, 0.0, 1.0), keep_out_within=Length(0.8))
     made = stage.run(context, part, SurfaceMesh(vertices, faces))
     assert made.drains
     assert all(drain[5] + drain[6] + 0.8 <= 9.0 for drain in made.drains)
+    with pytest.raises(ConfigError, match="none is wired"):
+        stage.run(context, part, part.domain)
     with pytest.raises(ConfigError, match="no direction"):
         FixDrains(toward=(0.0, 0.0, 0.0)).check_options()
 

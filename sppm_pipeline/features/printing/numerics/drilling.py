@@ -112,6 +112,8 @@ class Candidates(NamedTuple):
         Height of the build plate.
     mouths_off, all_off : (k, 3, 3) float64
         Triangles that the mouths of drains keep away from: sharp edges; and those that all of a drain does.
+    zone : ((n, 3, 3) float64, float) or None
+        Triangles that are to be kept out of, and how far.
     """
 
     points: NDArray[np.float64]
@@ -121,6 +123,7 @@ class Candidates(NamedTuple):
     floor: float
     mouths_off: NDArray[np.float64]
     all_off: NDArray[np.float64]
+    zone: tuple[NDArray[np.float64], float] | None
 
     def keeps_clear(self, capsule: NDArray[np.float64]) -> bool:
         """Whether all of a capsule (7,), from within the part to its mouth, is as far off as it should be."""
@@ -133,11 +136,14 @@ class Candidates(NamedTuple):
             lowest >= self.floor + self.clear
             and not points_within(b[None], self.mouths_off, reach).any()
             and not points_within(axis, self.all_off, reach).any()
+            and (self.zone is None or not points_within(axis, self.zone[0], self.radius + self.zone[1]).any())
         )
 
 
-def drain_candidates(domain: SurfaceMesh, radius: float, clear: float, keep_out: SurfaceMesh | None) -> Candidates:
-    """The points of a part's surface where a round hole stays `clear` of edges, holes, the plate and `keep_out`.
+def drain_candidates(
+    domain: SurfaceMesh, radius: float, clear: float, zone: tuple[NDArray[np.float64], float] | None
+) -> Candidates:
+    """The points of a part's surface where a round hole stays away from edges, holes, plate and zone.
 
     Parameters
     ----------
@@ -145,17 +151,19 @@ def drain_candidates(domain: SurfaceMesh, radius: float, clear: float, keep_out:
         Wound outwards.
     radius, clear : float
         Of the hole, and from its rim, mm.
-    keep_out : SurfaceMesh, optional
+    zone : ((n, 3, 3) float64, float), optional
+        Triangles to keep out of, and how far from its rim.
     """
     outer = domain.outer_surface
     triangles = domain.vertices[domain.faces] if outer is None else outer.triangles
     points, inwards, _ = spread_points(triangles, CANDIDATES)
     features, reach = mesh_features(domain.vertices, domain.faces), radius + clear
-    others = [features.holes] if keep_out is None else [features.holes, keep_out.vertices[keep_out.faces]]
-    floor, off = float(domain.lower[2]), np.concatenate(others)
+    floor = float(domain.lower[2])
     allowed = points[:, 2] >= floor + clear
-    allowed &= ~points_within(points, features.edges, reach) & ~points_within(points, off, reach)
-    return Candidates(points[allowed], inwards[allowed], radius, clear, floor, features.edges, off)
+    allowed &= ~points_within(points, features.edges, reach) & ~points_within(points, features.holes, reach)
+    if zone is not None:
+        allowed &= ~points_within(points, zone[0], radius + zone[1])
+    return Candidates(points[allowed], inwards[allowed], radius, clear, floor, *features, zone)
 
 
 def points_within(points: NDArray[np.float64], triangles: NDArray[np.float64], distance: float) -> NDArray[np.bool_]:

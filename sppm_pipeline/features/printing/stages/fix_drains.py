@@ -55,9 +55,10 @@ class FixDrains(Stage):
 
     The part is sampled on a coarse grid. For each closed void, the largest first, a hole is drilled straight in from
     the surface, where it goes through little solid, low in the part. No hole comes nearer than `clear` to a sharp edge,
-    to a hole that the part has (a concave cylinder or cone), to the build plate, or to the mesh at the port `keep_out`;
-    none runs along below another face, and none cuts a piece of the solid off. The holes become drains of the part,
-    which win over skin and microstructure. Beside the list, they are written as a mesh, for plugs, and drawn.
+    to a hole that the part has (a concave cylinder or cone), or to the build plate, nor nearer than `keep_out_within`
+    to the mesh at the port `keep_out`; none runs along below another face, and none cuts a piece of the solid off. The
+    holes become drains of the part, which win over skin and microstructure. Beside the list, they are written as a
+    mesh, for plugs, and drawn.
     """
 
     name: ClassVar[str] = "fix.drains"
@@ -69,9 +70,12 @@ class FixDrains(Stage):
 
     diameter: Length = option(Length(1.5), help="diameter of the holes", unit="mm", above=0, maximum=1e3)
     clear: Length | None = option(
-        None, help="distance of their rims from edges, holes, the build plate and `keep_out`; `diameter` if omitted",
+        None, help="distance of their rims from edges, holes and the build plate; `diameter` if omitted",
         unit="mm", minimum=0, maximum=1e3,
     )  # fmt: skip
+    keep_out_within: Length | None = option(
+        None, help="distance of drains from the mesh at `keep_out`", unit="mm", minimum=0, maximum=1e3
+    )
     toward: tuple[float, float, float] | None = option(
         None, help="direction [x, y, z] in which holes should open, such as that of a side that is not seen",
         minimum=-1e6, maximum=1e6,
@@ -107,6 +111,15 @@ class FixDrains(Stage):
                 hint="give a larger `diameter`; resin wants a millimeter or more",
             )
         clear = 2 * radius if self.clear is None else self.clear.mm()
+        zone = None
+        if self.keep_out_within is not None:
+            # an open port takes the nearest mesh, which is mostly the part itself
+            if keep_out is None or np.array_equal(keep_out.vertices, part.domain.vertices):
+                raise ConfigError(
+                    "`keep_out_within` is a distance from a mesh, and none is wired to the port `keep_out`",
+                    hint="read it by a stage with an id, and say from: {part: PART, keep_out: ID}",
+                )
+            zone = keep_out.vertices[keep_out.faces], self.keep_out_within.mm()
         voxel = world.spacing[0] ** 3
         before = traps = find_traps(solid)
         smallest = SMALLEST_SHARE * float(before.sizes.sum()) * voxel if self.smallest is None else self.smallest
@@ -114,7 +127,7 @@ class FixDrains(Stage):
         given_up: set[tuple[int, int, int]] = set()
         places = -1
         if (before.sizes * voxel >= smallest).any():
-            found = drain_candidates(part.domain, radius, clear, keep_out)
+            found = drain_candidates(part.domain, radius, clear, zone)
             places = len(found.points)
             domain = prepare_inside(part.domain.vertices, part.domain.faces, world, part.method)
             depths = signed_depths(inside_layers(domain, 0, len(solid)).mask, world.spacing[0])
