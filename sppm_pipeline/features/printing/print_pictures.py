@@ -25,7 +25,7 @@ MARKS: tuple[tuple[str, Color], ...] = (
 _PANEL = 460
 
 _VIEW = 320
-"""Pixels along the side of the picture of an orientation: a choice."""
+"""Pixels along the side of the picture of an orientation: six of them fill the width of a screen."""
 
 
 def marked_layer(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -45,7 +45,7 @@ def marked_sheet(
     pixel : (float, float)
         Pitch along x and y; the pictures are shown in its ratio.
     columns : mapping of str to (n,) array
-        The curves of the report, of which the areas are told.
+        The curves of the report, whose areas are shown.
     """
     from PIL import Image, ImageDraw  # only pictures with text need Pillow
 
@@ -58,12 +58,12 @@ def marked_sheet(
         size = (max(1, round(nx * scale)), max(1, round(ny * pixel[1] / pixel[0] * scale)))
         way = Image.Resampling.BOX if scale < 1 else Image.Resampling.NEAREST
         pictures.append(np.asarray(Image.fromarray(marked_layer(codes)).resize(size, way)))
-        told = [
+        areas = [
             f"{word} {columns[name][k]:.3g} mm^2"
             for word, name in (("sealed", "sealed_mm2"), ("floating", "floating_mm2"), ("overhang", "overhang_mm2"))
             if columns[name][k]
         ]
-        labels.append(f"layer {k} ({columns['top_mm'][k]:.4g} mm): {', '.join(told)}")
+        labels.append(f"layer {k} ({columns['top_mm'][k]:.4g} mm): {', '.join(areas)}")
     sheet = contact_sheet(pictures, labels, columns=min(3, len(pictures)), text_size=15)
     legend = Image.new("RGB", (sheet.shape[1], 44), (255, 255, 255))
     pen, x = ImageDraw.Draw(legend), 20

@@ -21,7 +21,7 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, box_tree
 from sppm_pipeline.services.mesh.measures import components
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
-from sppm_pipeline.services.mesh.winding_number import FAR, Dipoles, dipoles, winding_at
+from sppm_pipeline.services.mesh.winding_number import FAR_RADII, Dipoles, dipoles, winding_at
 
 UNDECIDED = 0.25
 """A voxel is undecided if its winding number is nearer than this to one half."""
@@ -335,7 +335,7 @@ def _correct(
                         if abs(number) >= _CLEAR:
                             own = winding_at(triangles, starts, poles, waiting, x, y, z, _QUICK)
                             if abs(own - 0.5) < _CLOSE:
-                                own = winding_at(triangles, starts, poles, waiting, x, y, z, FAR)
+                                own = winding_at(triangles, starts, poles, waiting, x, y, z, FAR_RADII)
                             mask[k - start, j, i] = own > 0.5
                             undecided += abs(own - 0.5) < UNDECIDED
                         elif abs(number) > UNDECIDED:

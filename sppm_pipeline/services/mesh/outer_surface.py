@@ -73,7 +73,9 @@ def outer_surface(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Ou
     if not len(cut) and components(faces)[0] == 1:
         return None
     closed = balanced_edges(faces)
-    rest = np.delete(np.arange(len(faces)), cut)
+    whole = np.ones(len(faces), np.bool_)
+    whole[cut] = False
+    rest = np.flatnonzero(whole)
     pieces = [
         _pieces(corners[i], corners[partners[a:b]], SNAP * diagonal)
         for i, a, b in zip(cut, starts, starts[1:], strict=False)
@@ -81,13 +83,21 @@ def outer_surface(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Ou
     owners = np.concatenate([rest, np.repeat(cut, [len(piece) for piece in pieces])])
     triangles = np.concatenate([corners[rest], *pieces])
     patch = np.arange(len(owners))
-    if closed and len(rest):  # triangles that are connected without a cut have the same solid in front and behind
-        patch[: len(rest)] = adjacency(faces[rest]).surfaces
+    if closed and len(rest):
+        # Triangles that are connected without a cut have the same winding numbers in front and behind, so one of them
+        # speaks for all. Edges of three or more triangles do not connect: shells that touch meet in them.
+        opposite = adjacency(faces).opposite
+        sides = np.flatnonzero((opposite >= 0) & whole.repeat(3))
+        links = np.stack([sides // 3, opposite[sides] // 3], axis=1)
+        links = np.concatenate([links[whole[links[:, 1]]], np.stack([rest, rest], axis=1)])
+        _, label = components(links[:, [0, 1, 1]])
+        patch[: len(rest)] = label[-len(rest) :]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice = np.linalg.norm(normals, axis=1)
     # the middle of the largest triangle of each patch is farthest from what is lost to rounding
     order = np.lexsort((-twice, patch))
     probes = order[np.diff(patch[order], prepend=-1) > 0]
+    # off the surface by as much as surfaces may be apart that count as one
     steps = normals[probes] / np.maximum(twice[probes], 1e-300)[:, None] * (COINCIDENT * diagonal)
     middles = triangles[probes].mean(axis=1)
     front, behind = (_numbers_at(tree, points, closed) for points in (middles + steps, middles - steps))
@@ -95,7 +105,7 @@ def outer_surface(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Ou
     exposed = ((front > 0.5) != (behind > 0.5))[of_patch]
     # sheets that lie on each other are all kept, and each counts for a part of the volume
     sheets = np.maximum(1.0, np.round(np.abs(behind - front)))[of_patch]
-    offsets = triangles - corners[0, 0]
+    offsets = triangles - (tree.boxes[0, :3] + tree.boxes[0, 3:]) / 2
     sixths = np.einsum("ij,ij->i", offsets[:, 0], np.cross(offsets[:, 1], offsets[:, 2])) / 6
     volume = float((sixths / sheets)[exposed].sum()) if closed else float("nan")
     return OuterSurface(np.ascontiguousarray(triangles[exposed]), owners[exposed], volume)
@@ -149,7 +159,7 @@ def _find_pairs(
     for i in range(triangles.shape[0]):
         t = triangles[i]
         if not _frame(t, tolerance, frame, corners):
-            continue
+            continue  # without an area it neither hides nor bounds anything
         for a in range(3):
             low[a] = min(t[0, a], t[1, a], t[2, a]) - tolerance
             high[a] = max(t[0, a], t[1, a], t[2, a]) + tolerance
@@ -179,7 +189,7 @@ def _find_pairs(
                 for c in range(3):
                     for d in range(3):
                         shared += t[c, 0] == u[d, 0] and t[c, 1] == u[d, 1] and t[c, 2] == u[d, 2]
-                if count == 3:
+                if count == 3:  # in one plane: they overlap if no edge of either separates them
                     meets = shared == 3
                     meets |= _overlap(corners, others, tolerance) and _overlap(others, corners, tolerance)
                 else:  # neighbors meet in the edge or corner they share
@@ -276,7 +286,7 @@ def _segments_in(
 
 @jit
 def _overlap(p: NDArray[np.float64], q: NDArray[np.float64], tolerance: float) -> bool:
-    """Whether no edge of triangle p in the plane has all of triangle q on its outer side."""
+    """Return whether no edge of triangle p in the plane has all of triangle q on its outer side."""
     turn = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
     sign = 1.0 if turn > 0.0 else -1.0
     for e in range(3):
@@ -313,7 +323,7 @@ def _length_within(corners: NDArray[np.float64], segment: NDArray[np.float64], m
 def _divides(
     piece: NDArray[np.float64], segment: NDArray[np.float64], tolerance: float, sides: NDArray[np.float64]
 ) -> bool:
-    """Whether a segment runs through the inside of a triangle; `sides` gets how far its corners are off the line."""
+    """Return whether a segment crosses the inside of a triangle; `sides` gets how far its corners are off the line."""
     vx, vy = segment[2] - segment[0], segment[3] - segment[1]
     length = np.sqrt(vx * vx + vy * vy)
     if not length > tolerance:
@@ -405,6 +415,7 @@ def _pieces(t: NDArray[np.float64], partners: NDArray[np.float64], tolerance: fl
         for part in range(count):
             spans[depth, 0] = end
             for s in listed[:size]:
+                # a segment that misses a part divides no piece of it either
                 if _divides(parts[part], segments[s], tolerance, sides):
                     pool[end] = s
                     end += 1

@@ -27,7 +27,8 @@ CANDIDATES = 6000
 SHARP_ANGLE = 40.0
 """Degrees between the normals of two triangles that meet in an edge to keep away from.
 
-Cylinders are commonly drawn with 12 or more faces (30 degrees and less), chamfers with 45. At 80 chamfers were drilled.
+Between facets of cylinders of 12 or more faces (30 degrees and less) and chamfers (45). At twice the angle chamfers
+do not count, at half of it coarse cylinders are all edges.
 """
 
 FLAT_ANGLE = 1.5
@@ -41,7 +42,7 @@ QUARTER_TURN = 0.85
 
 
 class Features(NamedTuple):
-    """What a drain keeps away from.
+    """Features of a mesh that drains keep away from.
 
     Attributes
     ----------
@@ -57,6 +58,7 @@ class Features(NamedTuple):
 
 def mesh_features(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Features:
     """Find the sharp edges and the holes of a mesh that is wound outwards."""
+    # edges are found by place, as some formats give every triangle corners of its own
     points, numbers = np.unique(vertices, axis=0, return_inverse=True)
     faces = np.ascontiguousarray(numbers.reshape(-1)[faces], np.int32)
     corners = points[faces]
@@ -93,6 +95,8 @@ def mesh_features(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Fe
         for b in range(3):
             products = twice[chosen] * units[chosen, a] * units[chosen, b]
             spreads[:, a, b] = np.bincount(label[chosen], products, count) / np.maximum(weights, 1e-300)
+    # The normals of a cylinder lie in a plane through the origin, those of a cone in one beside it: no variance along
+    # the axis. The mean of a quarter of a circle has the length 0.90, that of a third 0.83, of a half 0.64, of all 0.
     spreads -= means[:, :, None] * means[:, None, :]
     least = np.linalg.eigvalsh(spreads)[:, 0] if count else np.empty(0)
     is_hole = (least < CYLINDER_SPREAD) & (np.linalg.norm(means, axis=1) < QUARTER_TURN)
@@ -126,7 +130,7 @@ class Candidates(NamedTuple):
     zone: tuple[NDArray[np.float64], float] | None
 
     def keeps_clear(self, capsule: NDArray[np.float64]) -> bool:
-        """Whether all of a capsule (7,), from within the part to its mouth, is as far off as it should be."""
+        """Return whether all of a capsule (7,), from within the part to its mouth, is as far off as it should be."""
         a, b, reach = capsule[:3], capsule[3:6], self.radius + self.clear
         along = (b - a) / np.linalg.norm(b - a)
         # a round rim in a slanted face is lower than its middle
@@ -214,6 +218,7 @@ def borings(
     first = reached.argmax(1)
     within = (steps[None] > 0) & (steps[None] <= (steps[first] + radius)[:, None])
     slack = 1.5 * h  # of a distance between voxels
+    # A drain must not begin below an overhang or in a narrow gap: there its mouth would be another face.
     free = np.where(steps < 0, depth <= -np.minimum(-steps, radius) + slack, True).all(1)
     deep = np.where(within, depth >= np.minimum(steps, radius + clear) - slack, True).all(1)
     through = ((found == 0) & within & (np.arange(len(steps)) < first[:, None])).sum(1) * h / 2

@@ -30,7 +30,7 @@ class TuneOrientation(Stage):
     Struts and channels thinner than about two of these voxels (`voxel_mm`) are not seen, or are seen broken, and turned
     surfaces have stairs, which add up to a sixth to the supports of a ball of 92 voxels: run `check.print` on the
     layers of the orientation that is taken. `turn` of `read.mesh` turns the part only; the microstructure and drains
-    are then made anew in it, and differ from those that were scored.
+    are then made again in it, and differ from those that were scored.
     """
 
     name: ClassVar[str] = "tune.orientation"
@@ -46,7 +46,7 @@ class TuneOrientation(Stage):
         (1.0, 1.0, 0.5, 0.3), help="weights of supports, cups, height and area", minimum=0, maximum=1e6
     )
     turned: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0), help="`turn` that `read.mesh` has made; what is told replaces it", unit="degrees",
+        (0.0, 0.0, 0.0), help="current `turn` of `read.mesh`; the reported `turn` replaces it", unit="degrees",
         minimum=-1e6, maximum=1e6,
     )  # fmt: skip
     overhang_angle: float = options.overhang_angle(45.0, note="which is one of the voxels")

@@ -37,7 +37,7 @@ from sppm_pipeline.services.grid import Grid
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
-COARSER = 1.75
+TRIANGLES_RATIO = 1.75
 """Triangles over those of marching cubes at as many edges along an edge of the cell."""
 
 
@@ -79,7 +79,7 @@ class ManifoldSdf(Stage):
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         n = expected_voxels(field.body.edge_mm, self.resolution, self.voxel)
-        return field.grid(n, triangles=COARSER * field.body.triangles(n))
+        return field.grid(n, triangles=TRIANGLES_RATIO * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, check; in mm (cell sizes for a cell without a size)."""

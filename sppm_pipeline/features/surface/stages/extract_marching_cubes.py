@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
 
 MEMORY_SHARE = 4
-"""A mesh larger than this fraction of the memory to plan with goes into temporary files; a choice."""
+"""A mesh larger than the memory limit over this number goes into temporary files, a heuristic: stages after it may hold
+copies. At 2 these may exceed the limit, at 8 more meshes go by way of the disk, which is slower."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,11 +127,11 @@ def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tup
 
     pieces = stream()
     readers: Sequence[PieceTaker] = context.begin_readers()
-    foreseen = pieces.foreseen() if readers else None
-    if foreseen is None or not foreseen.faces:
+    predicted = pieces.predicted() if readers else None
+    if predicted is None or not predicted.faces:
         return _stored(pieces, context, scale, origin)
     try:
-        if all(reader.begin(foreseen.moved(scale, np.array(origin))) for reader in readers):
+        if all(reader.begin(predicted.moved(scale, np.array(origin))) for reader in readers):
             if (given := _handed_on(pieces, readers, scale, origin)) is not None:
                 return given
             pieces = stream()
@@ -146,7 +147,7 @@ def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tup
 def _handed_on(
     pieces: MeshStream, readers: Sequence[PieceTaker], scale: float, origin: tuple[float, float, float]
 ) -> _Extracted | None:
-    """Give away all pieces; None if a reader finds that the mesh is not as foreseen."""
+    """Give away all pieces; None if a reader finds that the mesh is not as predicted."""
     from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
 
     measures, window = StreamedMeasures(scale, np.array(origin)), PieceWindow(scale, np.array(origin))
