@@ -28,6 +28,9 @@ SUSPICIOUS_SIZE = 10.0
 MIN_THICKNESS = 1e-9
 """A part is flat if it is thinner than this share of its size, or encloses less than this share of its box."""
 
+MIN_OVERLAP = 1e-4
+"""Volume that shells share, as a fraction of all, below which a mesh only touches itself: slivers of a scan do."""
+
 MAX_LISTED_GROUPS = 100
 """Names of groups that the run record lists."""
 
@@ -165,12 +168,14 @@ class ReadMesh(Stage):
         else:
             summed = volume(made.vertices, made.faces)
             enclosed = summed if made.outer_surface is None else made.outer_surface.volume
+            if abs(summed - enclosed) <= MIN_OVERLAP * enclosed:
+                enclosed = summed  # the sum is exact
             if enclosed <= MIN_THICKNESS * float((upper - lower).prod()):
                 raise InputError(
                     f"{self.path.name} encloses nothing: its volume is {enclosed:g} mm3",
                     hint="are its faces there twice, back to back?",
                 )
-            if summed - enclosed > MIN_THICKNESS * enclosed:
+            if summed > enclosed:
                 context.report(overlap_mm3=summed - enclosed)
         made = made.with_volume(enclosed)
         if file.groups:
