@@ -92,6 +92,8 @@ class OptionSpec:
         How the name of an output may end, in lower case: with one of ``.stl``, ...; ``/`` for a folder.
     column : bool
         Whether the value names a column of a table.
+    run_file : bool
+        Whether the value names a file in the folder of each run of a sweep.
     formerly : str or None
         An earlier name of the option, still accepted.
     """
@@ -106,6 +108,7 @@ class OptionSpec:
     output: bool = False
     suffixes: tuple[str, ...] = ()
     column: bool = False
+    run_file: bool = False
     formerly: str | None = None
 
 
@@ -165,6 +168,7 @@ def option(
     output: bool = False,
     suffixes: Iterable[str] = (),
     column: bool = False,
+    run_file: bool = False,
     formerly: str | None = None,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
@@ -173,11 +177,23 @@ def option(
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
     A string with `output` names a file or folder below the run directory, which is checked before any work starts;
     `suffixes` are the endings that the stage can write, ``/`` if it writes a folder. A string with `column` names a
-    column of a table; where that is the table of a sweep, a column that no run can make is refused before the sweep.
+    column of a table, one with `run_file` a file in the folder of each run of a sweep; where that is the table of a
+    sweep, what no run can make is refused before the sweep.
     An option that was renamed states its earlier name as `formerly`; configurations that use it run, with a warning.
     """
     spec = OptionSpec(
-        help, unit, minimum, maximum, above, below, tuple(choices), output, tuple(suffixes), column, formerly
+        help=help,
+        unit=unit,
+        minimum=minimum,
+        maximum=maximum,
+        above=above,
+        below=below,
+        choices=tuple(choices),
+        output=output,
+        suffixes=tuple(suffixes),
+        column=column,
+        run_file=run_file,
+        formerly=formerly,
     )
     return dataclasses.field(default=default, metadata={"option": spec})
 
@@ -286,6 +302,9 @@ class Stage(ABC):
     cacheable : bool
         False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
         instance on a clock or a network; it then runs every time, and so does what depends on it.
+    libraries : tuple of str
+        Distributions whose versions its result depends on, besides NumPy, SciPy, Numba and Pillow, which count for
+        every stage; of a plugin's stage, what the plugin requires counts as well.
     headline : tuple of Headline
         The numbers of its summary that the terminal shows after a run; if empty, those of the `Report` that it makes,
         else the first five.
@@ -307,6 +326,7 @@ class Stage(ABC):
     name: ClassVar[str]
     version: ClassVar[int] = 1
     cacheable: ClassVar[bool] = True
+    libraries: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = ()
     reported: ClassVar[tuple[str, ...] | None] = None
     returns: ClassVar[type | None] = None

@@ -12,7 +12,6 @@ from typing import Any
 from sppm_pipeline.engine.cache.identity import code_of, environment
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.planning import Plan, step_options
-from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.wiring import Step
 
 KEY_FORMAT = 1
@@ -72,28 +71,34 @@ def ingredients_of(
         Keys of the results that it is handed; None for open ports.
     files : InputFiles
     """
-    owners: list[Plugin] = []
-    described = _described(step, recipes, files, owners)
+    used: list[Step] = []
+    described = _described(step, recipes, files, used)
     if described is None:
         return None
-    distributions = tuple(sorted({owner.distribution for owner in owners if owner.distribution}))
     return {
         "format": KEY_FORMAT,
         **described,
         "inputs": dict(inputs),
         "path": list(path),
-        "environment": environment(distributions),
+        "environment": _environment(used),
     }
 
 
+def _environment(used: Sequence[Step]) -> dict[str, str]:
+    """What the results of steps depend on besides this program."""
+    libraries = {name for step in used for name in step.stage.libraries}
+    plugins = {step.owner.distribution for step in used if step.owner.distribution}
+    return environment(tuple(sorted(libraries)), tuple(sorted(plugins)))
+
+
 def _described(
-    step: Step, recipes: Mapping[str, Sequence[Step]], files: InputFiles, owners: list[Plugin]
+    step: Step, recipes: Mapping[str, Sequence[Step]], files: InputFiles, used: list[Step]
 ) -> dict[str, Any] | None:
-    """Stage, version, code, options, input files and recipes."""
+    """Stage, version, code, options, input files and recipes; the step and those of its recipes are added to `used`."""
     stage = step.stage
     if not stage.cacheable:
         return None
-    owners.append(step.owner)
+    used.append(step)
     options = step_options(step)
     contents: dict[str, Any] = {}
     for name in options:
@@ -110,7 +115,7 @@ def _described(
     for port, recipe in step.recipes.items():
         inner = []
         for sub in recipes[recipe]:
-            about = _described(sub, recipes, files, owners)
+            about = _described(sub, recipes, files, used)
             if about is None:
                 return None
             inner.append({"id": sub.id, **about, "inputs": dict(sub.inputs)})
@@ -130,17 +135,16 @@ def _described(
 
 def recipe_key(name: str, recipes: Mapping[str, Sequence[Step]], path: tuple[str, ...], seed: int) -> str | None:
     """The key of what a recipe gives, of which `path` is that of its random numbers; None if that can't be told."""
-    owners: list[Plugin] = []
+    used: list[Step] = []
     inner = []
     for step in recipes[name]:
-        about = _described(step, recipes, InputFiles(), owners)
+        about = _described(step, recipes, InputFiles(), used)
         if about is None:
             return None
         inner.append({"id": step.id, **about, "inputs": dict(step.inputs)})
-    distributions = tuple(sorted({owner.distribution for owner in owners if owner.distribution}))
     return key_of({
         "format": KEY_FORMAT, "recipe": inner, "path": list(path), "seed": seed,
-        "environment": environment(distributions),
+        "environment": _environment(used),
     })  # fmt: skip
 
 

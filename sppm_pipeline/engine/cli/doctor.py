@@ -40,8 +40,9 @@ def execute(args: Namespace) -> int:
 
 def _compile() -> list[Finding]:
     """Compile what is not kept yet, on all processors; the kernels that could not be."""
-    from sppm_pipeline.engine.cli.kernels import CompileAhead, listed_kernels, missing
+    from sppm_pipeline.engine.cli.kernels import CompileAhead
     from sppm_pipeline.engine.cli.progress import ProgressLines
+    from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.engine.run.runner import available_threads
 
     if not (kernels := missing(listed_kernels())):
@@ -102,7 +103,7 @@ def _machine() -> Iterator[Finding]:
 
 def _kernel_cache() -> Iterator[Finding]:
     """Where compiled kernels are kept."""
-    from sppm_pipeline.engine.cli.kernels import listed_kernels, missing
+    from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root
     from sppm_pipeline.services.jit.machine_code import hindrance
 

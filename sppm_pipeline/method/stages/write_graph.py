@@ -20,6 +20,7 @@ class WriteGraph(Stage):
     """
 
     name: ClassVar[str] = "write.graph"
+    libraries: ClassVar[tuple[str, ...]] = ("networkx",)
 
     path: str = options.write_path("graph.graphml", suffixes=(".graphml", ".json"))
 

@@ -57,6 +57,7 @@ class ReadMesh(Stage):
     """
 
     name: ClassVar[str] = "read.mesh"
+    libraries: ClassVar[tuple[str, ...]] = ("trimesh",)
     advice: ClassVar[str] = "simplify the mesh"
 
     path: Path = options.read_path(note=".stl, .obj, .ply, .off, .3mf, .glb, or what trimesh reads besides")

@@ -48,6 +48,7 @@ class HexahedralTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.hexahedra"
+    libraries: ClassVar[tuple[str, ...]] = ("meshio",)
     version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = (
         "hexahedra", "volume_min_mm3", "volume_max_mm3", "error_mean", "error_rms", "error_p95", "error_max",

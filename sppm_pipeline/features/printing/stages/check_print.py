@@ -74,6 +74,7 @@ class CheckPrint(Stage):
     """
 
     name: ClassVar[str] = "check.print"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     reported: ClassVar[tuple[str, ...]] = (
         "traps", "trap_mm3", "largest_trap_mm3", "cups", "cups_at_plate", "cups_open_at_top", "largest_cup_mm2",
         "suction_n", "islands", "largest_island_mm2", "floating_parts", "floating_mm3", "overhang_mm2",

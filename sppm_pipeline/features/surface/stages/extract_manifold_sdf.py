@@ -51,6 +51,7 @@ class ManifoldSdf(Stage):
     """
 
     name: ClassVar[str] = "extract.manifold_sdf"
+    libraries: ClassVar[tuple[str, ...]] = ("manifold3d",)
     advice: ClassVar[str] = "lower `resolution`, or use `extract.marching_cubes`"
 
     resolution: int | None = options.resolution(

@@ -51,6 +51,7 @@ class BooleanFill(Stage):
     """
 
     name: ClassVar[str] = "fill.boolean"
+    libraries: ClassVar[tuple[str, ...]] = ("manifold3d",)
     advice: ClassVar[str] = "lower `resolution`, or use `fill.implicit`, which needs no mesh"
     version: ClassVar[int] = 3
 

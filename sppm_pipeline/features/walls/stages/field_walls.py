@@ -52,6 +52,7 @@ class WallsField(Stage):
     """
 
     name: ClassVar[str] = "field.walls"
+    libraries: ClassVar[tuple[str, ...]] = ("networkx",)
     reported: ClassVar[tuple[str, ...]] = (
         "thickness", "tunnel_radius", "thinnest_tunnel", "rounding", "mean_pore_distance", "missed",
     )  # fmt: skip
