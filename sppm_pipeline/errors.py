@@ -30,7 +30,7 @@ class Position:
 
 
 class SppmError(Exception):
-    """Base of all errors that a user can cause or cure.
+    """Base of all errors that a user can cause or fix.
 
     Parameters
     ----------

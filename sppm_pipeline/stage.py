@@ -1,4 +1,4 @@
-"""What a stage is; what it may ask of its surroundings is in `sppm_pipeline.context`.
+"""The interface of a stage; that of its surroundings is in `sppm_pipeline.context`.
 
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
@@ -114,7 +114,7 @@ class OptionSpec:
 
 @dataclass(frozen=True)
 class StageAlias:
-    """What a former stage name stands for.
+    """Meaning of a former stage name.
 
     Attributes
     ----------
@@ -339,7 +339,7 @@ class Stage(ABC):
         """Do the work; subclasses state their ports and result by annotation."""
 
     def begin(self, context: Context) -> Any:
-        """What takes the pieces of this stage's only input while the stage before makes it; None if it is wanted whole.
+        """A receiver of the pieces of this stage's only input while the stage before makes it; None to get it whole.
 
         Called before this stage's turn, if the stage before asks for it (`Context.begin_readers`); `run` finds it in
         `Context.begun`, whether it was given all pieces or none. Stage before and reader agree on what pieces are, as
@@ -348,11 +348,11 @@ class Stage(ABC):
         return None
 
     def estimate(self, palette: Palette, *inputs: Any, **ports: Any) -> Size | None:
-        """Tell how large the result and the work will be, in milliseconds; None if that is unknown.
+        """Estimate the size of the result and of the work, within milliseconds; None if that is unknown.
 
         Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. What
         raises `LookupError`, because the geometry of an input is unknown, or an error of this program, is unknown as
-        well; other errors are warned of, as mistakes.
+        well; other errors trigger a warning, as mistakes.
         """
         return None
 

@@ -1,4 +1,4 @@
-"""What a result depends on besides its options: the code that makes it, and the libraries below that code."""
+"""Dependencies of a result besides its options: the code that makes it, and the libraries below that code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.stage import Stage
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "pillow")
-"""What nearly every stage uses; of other requirements only those count that a stage names as `Stage.libraries`."""
+"""Libraries that count for every stage; of other requirements only those count that a stage names as
+`Stage.libraries`."""
 
 _PACKAGE = "sppm_pipeline"
 _WITHOUT_RESULTS = ("engine/cli", "features/browser/report", "features/browser/studio", "testing")
@@ -39,7 +40,7 @@ def program_digest() -> str:
 
 
 def code_of(cls: type[Stage], owner: Plugin) -> dict[str, Any]:
-    """Who supplies a stage, in which version, and the digest of the source of all classes that it is made of."""
+    """Supplier of a stage, in which version, and the digest of the source of all classes that it is made of."""
     modules = {c.__module__ for c in cls.__mro__ if c is not object}
     sources = {_source_of(module) for module in modules}
     digest = hashlib.sha256("\n".join(sorted(sources - {""})).encode()).hexdigest()
@@ -124,7 +125,7 @@ def _processor() -> str:
 
 
 def arithmetic() -> dict[str, str | None]:
-    """What the last digits of numbers depend on besides versions, for the run record.
+    """Dependencies of the last digits of numbers besides versions, for the run record.
 
     Returns
     -------

@@ -38,12 +38,12 @@ class InputFiles:
         return self._digests[name][1]
 
     def unchanged(self) -> bool:
-        """Whether all files are still what they were when they were read."""
+        """True if all files are still what they were when they were read."""
         return all(_state(Path(name)) == state for name, (state, _) in self._digests.items())
 
 
 def _state(path: Path) -> tuple[Any, ...] | None:
-    """What changes when somebody writes to a file or into a folder."""
+    """State of a file or folder that changes with each write."""
     try:
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
         stats = [(str(file), file.stat()) for file in files]
@@ -59,7 +59,7 @@ def ingredients_of(
     inputs: Mapping[str, str | None],
     files: InputFiles,
 ) -> dict[str, Any] | None:
-    """All that the result of a step depends on but the seed; None if that can't be told.
+    """All dependencies of the result of a step but the seed; None if they are unknown.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def ingredients_of(
 
 
 def _environment(used: Sequence[Step]) -> dict[str, str]:
-    """What the results of steps depend on besides this program."""
+    """Dependencies of the results of steps besides this program."""
     libraries = {name for step in used for name in step.stage.libraries}
     plugins = {step.owner.distribution for step in used if step.owner.distribution}
     return environment(tuple(sorted(libraries)), tuple(sorted(plugins)))
@@ -134,7 +134,7 @@ def _described(
 
 
 def recipe_key(name: str, recipes: Mapping[str, Sequence[Step]], path: tuple[str, ...], seed: int) -> str | None:
-    """The key of what a recipe gives, of which `path` is that of its random numbers; None if that can't be told."""
+    """The key of what a recipe gives, of which `path` is that of its random numbers; None if it is unknown."""
     used: list[Step] = []
     inner = []
     for step in recipes[name]:
@@ -176,7 +176,7 @@ def key_of(ingredients: Mapping[str, Any]) -> str:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
-    """What has changed between two lists of ingredients, in words."""
+    """Changes between two lists of ingredients, in words."""
     if not now:
         return
     if before.get("stage") != now.get("stage"):

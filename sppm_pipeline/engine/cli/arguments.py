@@ -58,7 +58,7 @@ _seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid int
 
 
 def request_from(args: Namespace) -> RunRequest:
-    """What the arguments ask for."""
+    """The request that the arguments describe."""
     from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
@@ -93,7 +93,7 @@ def open_from(args: Namespace) -> Session:
 
 
 def _agreed(error: UntrustedError) -> bool:
-    """Ask the user, if somebody sits at the terminal."""
+    """Ask the user, if there is a terminal."""
     if not (sys.stdin and sys.stdin.isatty() and sys.stderr and sys.stderr.isatty()):
         return False
     print(f"sppm: {error.message}", file=sys.stderr)
@@ -107,7 +107,7 @@ def run_folder(args: Namespace, session: Session) -> Path:
 
 
 def history_of_machine(args: Namespace) -> dict[str, Seen]:
-    """What runs with the same cache have taken."""
+    """Time and memory of runs with the same cache."""
     from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
     from sppm_pipeline.engine.plan.rates import history_of
 
@@ -116,7 +116,7 @@ def history_of_machine(args: Namespace) -> dict[str, Seen]:
 
 
 def add_cache(parser: ArgumentParser) -> None:
-    """Where results are kept between runs."""
+    """Arguments for the folder in which results are kept between runs."""
     parser.add_argument("--cache", type=Path, metavar="DIR", help="folder in which results are kept between runs")
     parser.add_argument("--no-cache", action="store_true", help="run every stage, and keep nothing")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from sppm_pipeline.engine.cli.arguments import add_plugins, plugins_from
 
 Finding = tuple[bool, str, str]
-"""Whether all is well, what was looked at, what was found."""
+"""True if all is well, what was looked at, what was found."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -85,7 +85,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _at_least(version: str, spec: str) -> bool:
-    """Whether `version` meets the lower bound in a requirement such as ``numpy>=1.26``."""
+    """True if `version` meets the lower bound in a requirement such as ``numpy>=1.26``."""
     lower = spec.partition(">=")[2].split(",")[0].strip()
 
     def numbers(text: str) -> tuple[int, ...]:
@@ -102,7 +102,7 @@ def _machine() -> Iterator[Finding]:
 
 
 def _kernel_cache() -> Iterator[Finding]:
-    """Where compiled kernels are kept."""
+    """Folder of compiled kernels and its state."""
     from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root
     from sppm_pipeline.services.jit.machine_code import hindrance

@@ -1,4 +1,4 @@
-"""``sppm estimate``: what a run will take, estimated along the wiring without running anything."""
+"""``sppm estimate``: memory, disk and time of a run, estimated along the wiring without running anything."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def total_of(estimates: list[PlanEstimate], rows: int) -> dict[str, Any]:
 
 
 def summary_line(estimates: list[PlanEstimate], rows: int) -> str:
-    """What a run will take in all, in a line."""
+    """Totals of an estimate in a line."""
     from sppm_pipeline.engine.process.budget import format_bytes
 
     total = total_of(estimates, rows)

@@ -70,7 +70,7 @@ class CompileAhead:
     processes : int
     ids : dict of stage id to stage name
     failed : function of two str, optional
-        Told of each kernel that could not be compiled, and why.
+        Called for each kernel that could not be compiled, and why.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class CompileAhead:
 
         self._ids = ids
         self._failed = failed
-        self._ended: set[Future[None]] = set()  # and told of, which futures that are done need not be yet
+        self._ended: set[Future[None]] = set()  # and reported, which futures that are done need not be yet
         self._changed = threading.Condition()
         self._pool = ProcessPoolExecutor(
             min(processes, len(kernels), MAX_PROCESSES),
@@ -100,10 +100,10 @@ class CompileAhead:
         with contextlib.suppress(OSError, RuntimeError):  # no more processes, or they die at once
             for kernel in in_order(kernels, list(ids.values())):
                 future = self._pool.submit(_compile, kernel.place, kernel.signatures)
-                future.add_done_callback(functools.partial(self._tell, kernel))
+                future.add_done_callback(functools.partial(self._report, kernel))
                 self._futures.append((kernel, future))
 
-    def _tell(self, kernel: Kernel, future: Future[None]) -> None:
+    def _report(self, kernel: Kernel, future: Future[None]) -> None:
         if not future.cancelled() and (error := future.exception()) is not None:
             self._failed(kernel.place, _why(error))
         with self._changed:
@@ -117,17 +117,17 @@ class CompileAhead:
         ----------
         stage : str or None
         notify : function of two int
-            Told at each change how many of all kernels are done.
+            Called at each change with the numbers of finished and of all kernels.
         """
         name = None if stage is None else self._ids.get(stage, stage)
         needed = [future for kernel, future in self._futures if name is None or name in kernel.stages]
-        told = -1
+        reported = -1
         while not self._ended.issuperset(needed):
             check()
             done = len(self._ended)
-            if done != told:
+            if done != reported:
                 notify(done, len(self._futures))
-                told = done
+                reported = done
             with self._changed:
                 self._changed.wait(0.1)
 

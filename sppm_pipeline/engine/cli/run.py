@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 
 LINE = 100
-"""Characters of a line of numbers, beside the stage and its time; a choice."""
+"""Characters of a line of numbers, beside the stage and its time: with both, lines stay below the 120 columns of a
+usual terminal."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -181,7 +182,7 @@ def _execute(args: Namespace) -> int:
 
 
 def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
-    """What shows the run, closed by `stack`."""
+    """The monitor that shows the run, closed by `stack`."""
     from sppm_pipeline.engine.cli.progress import ProgressLines
     from sppm_pipeline.services.jit.kernel_cache import on_first_compilation
 

@@ -53,7 +53,7 @@ class Option:
 
     @property
     def required(self) -> bool:
-        """Whether it must be given."""
+        """True if it must be given."""
         return self.default is dataclasses.MISSING
 
 
@@ -322,7 +322,7 @@ def _member_words(kind: Any, plural: bool) -> str:
 
 
 def hint_of(option: Option, value: Any) -> str:
-    """What to do about a value that was refused: how nothing is written, if that was meant, else what the option is."""
+    """Hint for a value that was refused: how null is written, if that was meant, else the help of the option."""
     if (
         isinstance(value, str)
         and value.lower() in ("none", "nothing", "nil", "~")

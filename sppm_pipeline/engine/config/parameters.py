@@ -24,7 +24,7 @@ MAX_ROWS = 100_000
 
 @dataclass(frozen=True)
 class Overrides:
-    """What the command line changes in a configuration, as plain text.
+    """Changes that the command line makes in a configuration, as plain text.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Substituted(NamedTuple):
     used : set of str
         Parameters that were put in.
     unread : set of Position
-        Places of values that could not be told; further errors there would only be consequences.
+        Places of values that could not be read; further errors there would only be consequences.
     """
 
     groups: dict[str, Node]

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, reported in one pass, and guesses at what was meant."""
+"""Errors of a configuration, reported in one pass, and guesses at what was meant."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from sppm_pipeline.errors import ConfigError, ConfigErrors
 
 Problems = list[ConfigError]
-"""What a phase has found wrong. Each returns it beside its value; `raise_problems` reports those of all together."""
+"""Errors that a phase has found. Each phase returns it beside its value; `raise_problems` reports all together."""
 
 
 def raise_problems(problems: Iterable[ConfigError]) -> None:

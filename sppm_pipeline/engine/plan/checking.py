@@ -53,7 +53,7 @@ def checked(
     jobs: int = 1,
     history: History = NONE_SEEN,
 ) -> Checked:
-    """Look a configuration over before any work.
+    """Check a configuration before any work.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def wire(drafts: Drafts, until: str | None, *, inputs: bool) -> tuple[Plan, Prob
 
 
 def vary(session: Session, base: Plan, rows: Sequence[Row], until: str | None, *, inputs: bool) -> Problems:
-    """What is wrong with values of a sweep, and with names of columns and files that stages of `after` want of it.
+    """Errors in values of a sweep, and in names of columns and files that stages of `after` use.
 
     In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
     than `MAX_CHECKED` a part is tried.
@@ -149,7 +149,7 @@ def estimate(
     jobs: int = 1,
     history: History = NONE_SEEN,
 ) -> tuple[list[PlanEstimate], Problems]:
-    """What the run will take, or evenly spread rows of its sweep, and whether that can't fit."""
+    """Estimates of the run, or of evenly spread rows of its sweep, and an error if it can't fit."""
     if not rows:
         found = [estimate_plan(base, until=until, history=history)]
     else:

@@ -52,7 +52,7 @@ class StageEstimate:
     ----------
     step : Step
     size : Size or None
-        None if the stage does not tell it.
+        None if it is unknown.
     cost : Cost or None
         With those of its recipes; None if the size or the rates are unknown.
     rated : float
@@ -72,7 +72,7 @@ class StageEstimate:
 
     @property
     def advice(self) -> str:
-        """What makes the work smaller."""
+        """Hint that makes the work smaller."""
         stage = self.step.stage
         return stage.advice or ("lower `resolution`" if hasattr(stage, "resolution") else "")
 
@@ -157,7 +157,7 @@ def _program(entries: int) -> Cost:
 
 
 def compiling_cost(stages: frozenset[str]) -> Cost:
-    """What compiling the kernels takes that these stages call and that are not on the disk.
+    """Cost of compiling the kernels that these stages call and that are not on the disk.
 
     Child processes that compile ahead do so beside the first stages; memory is that of the process of the run.
     """
@@ -224,7 +224,7 @@ def _size(
     history: History,
     inner: list[tuple[float, StageEstimate]],
 ) -> Size | None:
-    """The size that a stage tells; whatever goes wrong is no reason not to run, but mistakes are warned of.
+    """The size that a stage estimates; errors do not keep it from running, but mistakes trigger a warning.
 
     Errors of the house and of the system, arithmetic on odd numbers and `LookupError` say that a size is unknown, and
     so does anything that follows from an input of unknown size.

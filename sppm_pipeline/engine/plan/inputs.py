@@ -1,4 +1,4 @@
-"""What a plan takes from elsewhere: files that must be there, and columns that the table of a sweep can have."""
+"""Inputs of a plan from elsewhere: files that must exist, and columns and files that a sweep can have."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def missing_inputs(plan: Plan, steps: Sequence[Step]) -> Problems:
 
 
 def _near(path: Path) -> str | None:
-    """What may have been meant by a path that is not there."""
+    """Hint for a path that does not exist."""
     if not path.parent.is_dir():
         return f"there is no folder {str(path.parent)!r} either; paths start from the folder of the file"
     return did_you_mean(path.name, [other.name for other in path.parent.iterdir() if other.suffix == path.suffix])
@@ -99,7 +99,7 @@ class TableNames:
         )
 
     def _has_file(self, name: str) -> bool:
-        """Whether an option names it; or begins its name, as some stages write further files beside the one."""
+        """True if an option names it; or begins its name, as some stages write further files beside the one."""
         return self._files is None or any(name.startswith(str(PurePath(file).with_suffix(""))) for file in self._files)
 
     def _hint(self, column: str) -> str:
@@ -136,7 +136,7 @@ def declared_numbers(cls: type[Stage], builtin: bool, makes: tuple[type, ...]) -
 
 
 def is_declared(number: str, declared: frozenset[str]) -> bool:
-    """Whether a place in a summary is among those of `declared_numbers`."""
+    """True if a place in a summary is among those of `declared_numbers`."""
     return number in declared or any(place.endswith("*") and number.startswith(place[:-1]) for place in declared)
 
 

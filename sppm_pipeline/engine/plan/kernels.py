@@ -30,7 +30,7 @@ on_first_compilation(lambda: _compiled.append(True))
 
 
 def has_compiled() -> bool:
-    """Whether this process has compiled a kernel, which takes memory that later runs do not take."""
+    """True if this process has compiled a kernel, which takes memory that later runs do not take."""
     return bool(_compiled)
 
 

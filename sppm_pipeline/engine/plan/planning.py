@@ -91,7 +91,7 @@ class Drafts(NamedTuple):
     groups : dict of name to list of Draft or None
         Of each recipe, the pipeline and `after`; None stands for a stage that is unknown.
     unread : set of Position
-        Places of values that could not be told; further errors there would only be consequences.
+        Places of values that could not be read; further errors there would only be consequences.
     renamed, unused : tuple of str
         Warnings of former names and of parameters that nothing refers to.
     single : bool

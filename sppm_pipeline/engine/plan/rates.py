@@ -1,4 +1,4 @@
-"""What stages cost: rates that come with the program, corrected by what this machine has seen.
+"""Costs of stages: rates that come with the program, corrected by what this machine has seen.
 
 ``rates.json`` holds, for each stage by name (for writers by format), seconds on one core, bytes of memory while it
 runs, bytes that its result keeps, and bytes on disk; each for a run (unit ``1``) and for units of `nouns.size.Size`.
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
 TABLE = Path(__file__).with_name("rates.json")
 HISTORY = "history.json"
-"""Where a cache remembers what stages took on its machine."""
+"""File of a cache with what stages took on its machine."""
 
 MAX_SEEN = 12
-"""Runs of a stage that are remembered, the latest. More would tell more sizes apart; twelve of each of a hundred stages
+"""Runs of a stage that are remembered, the latest. More would distinguish more sizes; twelve of each of a hundred
+stages
 make a file of 100 kB, which is read in a millisecond."""
 
 SAME = 1.05
@@ -103,7 +104,7 @@ def _nearest(seen: Sequence[tuple[float, float]], size: float) -> tuple[float, f
 
 
 def history_of(store: Store | None) -> dict[str, list[Seen]]:
-    """What a cache remembers of its machine."""
+    """Runs of stages that a cache remembers of its machine."""
     found = ((store.read_text(HISTORY) if store is not None else None) or {}).get("stages", {})
     return {name: [Seen(*numbers) for numbers in runs] for name, runs in found.items()}
 
@@ -120,7 +121,7 @@ def remember(store: Store, took: Iterable[tuple[str, Seen]]) -> None:
 
 
 def _is_known(runs: Sequence[Seen], seen: Seen) -> bool:
-    """Whether a run told the same: as much, or too little to tell from nothing."""
+    """True if the last run of this size took the same, up to noise."""
     near = [one for one in runs if max(one.rated, seen.rated) <= SAME * min(one.rated, seen.rated)]
     return bool(near) and (
         abs(near[-1].seconds - seen.seconds) < max(0.05, 0.1 * seen.seconds)

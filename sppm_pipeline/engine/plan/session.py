@@ -51,7 +51,7 @@ Row = Mapping[str, Entry]
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What to run and how, in plain picklable values.
+    """A configuration to run and how to run it, in plain picklable values.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class RunRequest:
 
     def absolute(self) -> RunRequest:
         """The same for another process in another folder: the text of the configuration, which keeps its name."""
-        # a worker has nobody to ask, and runs what was agreed to here
+        # a worker can't ask the user, and runs what was agreed to here
         plugins = tuple(str(Path(path).absolute()) for path in self.plugins)
         if self.text is None and self.document is None:
             text, folder = yaml_text(Path(self.file)), Path(self.file).parent

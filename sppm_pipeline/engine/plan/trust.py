@@ -24,7 +24,7 @@ FOLDERS = "SPPM_TRUST"
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 _OWN = (_PACKAGE / "examples", _PACKAGE / "configs", _PACKAGE.parent / "examples", _PACKAGE.parent / "configs")
-"""Where the examples of this program lie: in a wheel within the package, in a checkout beside it."""
+"""Folders of the examples of this program: in a wheel within the package, in a checkout beside it."""
 
 
 class UntrustedError(ConfigError):
@@ -80,7 +80,7 @@ def _digest(path: Path) -> str:
 
 
 def _remembered() -> set[str]:
-    """Digests that were trusted; none if the file is not the user's own, as somebody else may have written them."""
+    """Digests that were trusted; none if the file is not the user's own, as another user may have written them."""
     file = _state_folder() / "trusted.json"
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError), file.open(encoding="utf-8") as opened:
         if not hasattr(os, "getuid") or os.fstat(opened.fileno()).st_uid == os.getuid():
@@ -89,7 +89,7 @@ def _remembered() -> set[str]:
 
 
 def _state_folder() -> Path:
-    """Where programs keep what they remember of a user."""
+    """Folder in which programs keep their state of a user."""
     if sys.platform == "win32":
         root = os.environ.get("LOCALAPPDATA")
     else:
