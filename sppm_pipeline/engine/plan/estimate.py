@@ -10,17 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.plan.kernels import (
-    MIN_SECONDS_AHEAD,
-    SWITCH,
-    has_compiled,
-    kernels_of,
-    listed_kernels,
-    missing,
-    stages_of,
-)
+from sppm_pipeline.engine.plan.kernels import MIN_SECONDS_AHEAD, SWITCH, has_compiled, missing_of
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.engine.plan.rates import Cost, History, Seen, cost, memory_by, remember, seconds_by
+from sppm_pipeline.engine.plan.rates import Cost, History, Seen, by_history, cost, remember
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
 from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 from sppm_pipeline.errors import ResourceError, SppmError
@@ -147,7 +139,7 @@ def estimate_plan(
             seconds=program.seconds + sum(stage.cost.seconds for stage in after if stage.cost),
             memory=max([base, *(stage.resident for stage in after)]),
         )
-    return PlanEstimate(stages, program, compiling_cost(frozenset(stages_of(plan))))
+    return PlanEstimate(stages, program, compiling_cost(plan))
 
 
 def _program(entries: int) -> Cost:
@@ -156,12 +148,12 @@ def _program(entries: int) -> Cost:
     return found
 
 
-def compiling_cost(stages: frozenset[str]) -> Cost:
-    """Cost of compiling the kernels that these stages call and that are not on the disk.
+def compiling_cost(plan: Plan) -> Cost:
+    """Cost of compiling the kernels that a plan will call and that are not on the disk.
 
     Child processes that compile ahead do so beside the first stages; memory is that of the process of the run.
     """
-    lacking = missing(kernels_of(set(stages), listed_kernels()))
+    lacking = missing_of(plan)
     seconds = sum(kernel.seconds for kernel in lacking)
     apart = seconds >= MIN_SECONDS_AHEAD and os.environ.get(SWITCH, "").lower() != "off"
     return COMPILER._replace(seconds=seconds, memory=COMPILER.memory if lacking and not apart else 0.0)
@@ -194,8 +186,8 @@ def estimate_steps(
             rated = own.seconds + sum(repeats * stage.rated for repeats, stage in inner)
             memory = max(own.memory, own.kept, *(stage.resident for _, stage in inner), 0.0)
             disk = own.disk + sum(repeats * one.disk for repeats, one in costs)
-            total = Cost(seconds_by(history, key, rated), memory, own.kept, disk)
-            resident = memory_by(history, key, resident + memory)
+            seconds, resident = by_history(history.get(key, ()), rated, resident + memory)
+            total = Cost(seconds, memory, own.kept, disk)
         kept[step.id] = total.kept if total else 0.0
         found.append(StageEstimate(step, size, total, rated, resident, unknown))
         for id_ in done:

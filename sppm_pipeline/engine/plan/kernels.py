@@ -78,3 +78,8 @@ def missing(kernels: Iterable[Kernel]) -> list[Kernel]:
     """Those that have to be compiled; none if nothing can be kept on the disk."""
     look_again()
     return [k for k in kernels if not is_kept(k.place, len(k.signatures))] if kernel_cache_lasts() else []
+
+
+def missing_of(plan: Plan) -> list[Kernel]:
+    """Kernels that a plan will probably call and that have to be compiled."""
+    return missing(kernels_of(stages_of(plan), listed_kernels()))

@@ -82,16 +82,22 @@ def cost(name: str, units: Mapping[str, float]) -> Cost | None:
     return Cost(*totals)
 
 
-def seconds_by(history: History, name: str, rated: float) -> float:
-    """Seconds of a stage, in proportion to the run that was nearest in size."""
-    near = _nearest([(one.rated, one.seconds) for one in history.get(name, ())], rated)
-    return rated if near is None else rated * near[1] / near[0]
+def by_history(seen: Sequence[Seen], rated: float, expected: float) -> tuple[float, float]:
+    """Seconds of a stage and bytes of its process, in proportion to the runs that were nearest in size.
 
-
-def memory_by(history: History, name: str, expected: float) -> float:
-    """Bytes of the process while a stage runs, in proportion to the run that was nearest in size."""
-    near = _nearest([(one.expected, one.peak) for one in history.get(name, ()) if one.peak], expected)
-    return expected if near is None else expected * MARGIN * near[1] / near[0]
+    Parameters
+    ----------
+    seen : sequence of Seen
+        Runs of the stage; if there are none, the next two are returned.
+    rated, expected : float
+        Seconds and bytes by the table.
+    """
+    time = _nearest([(one.rated, one.seconds) for one in seen], rated)
+    memory = _nearest([(one.expected, one.peak) for one in seen if one.peak], expected)
+    return (
+        rated if time is None else rated * time[1] / time[0],
+        expected if memory is None else expected * MARGIN * memory[1] / memory[0],
+    )
 
 
 def _nearest(seen: Sequence[tuple[float, float]], size: float) -> tuple[float, float] | None:

@@ -267,12 +267,14 @@ def test_a_machine_is_learned_from_its_cache(here, capsys, monkeypatch):
 
 
 def test_the_run_that_is_nearest_in_size_counts():
-    seen = {"a": [rates.Seen(1.0, 2.0, 1e8, 2e8), rates.Seen(8.0, 4.0, 8e8, 8e8), rates.Seen(1.01, 3.0, 1e8, 0.0)]}
-    assert rates.seconds_by(seen, "a", 1.0) == pytest.approx(3.0 / 1.01)  # the latest of two of this size
-    assert rates.seconds_by(seen, "a", 16.0) == 8.0
-    assert rates.memory_by(seen, "a", 1.5e8) == pytest.approx(3e8 * rates.MARGIN)  # one had compiled
-    assert rates.memory_by(seen, "a", 4e8) == pytest.approx(4e8 * rates.MARGIN)
-    assert (rates.seconds_by(seen, "b", 5.0), rates.memory_by(seen, "b", 5.0)) == (5.0, 5.0)
+    seen = [rates.Seen(1.0, 2.0, 1e8, 2e8), rates.Seen(8.0, 4.0, 8e8, 8e8), rates.Seen(1.01, 3.0, 1e8, 0.0)]
+    seconds, memory = rates.by_history(seen, 1.0, 1.5e8)
+    assert seconds == pytest.approx(3.0 / 1.01)  # the latest of two of this size
+    assert memory == pytest.approx(3e8 * rates.MARGIN)  # one had compiled
+    seconds, memory = rates.by_history(seen, 16.0, 4e8)
+    assert seconds == 8.0
+    assert memory == pytest.approx(4e8 * rates.MARGIN)
+    assert rates.by_history([], 5.0, 6.0) == (5.0, 6.0)
 
 
 def test_what_is_remembered_stays_small(tmp_path):
