@@ -16,7 +16,7 @@ from sppm_pipeline.engine.plan.inputs import TableNames, missing_inputs
 from sppm_pipeline.engine.plan.planning import Drafts, Plan, draft_plan, wire_plan
 from sppm_pipeline.engine.plan.rates import History
 from sppm_pipeline.engine.plan.session import Row, Session
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, ResourceError
 
 MAX_CHECKED = 1000
 """Rows of a sweep that are planned before any work, 1 ms each; of more, evenly spread ones stand for all."""
@@ -85,9 +85,10 @@ def checked(
     if rows and not problems:
         problems = vary(session, wired, rows, until, inputs=inputs)
     estimates: list[PlanEstimate] = []
+    large: list[ResourceError] = []
     if folder is not None and not problems:
-        estimates, problems = estimate(session, wired, rows, until, folder, jobs, history)
-    raise_problems(problems)
+        estimates, large = estimate(session, wired, rows, until, folder, jobs, history)
+    raise_problems([*problems, *large])
     return Checked(wired, rows, estimates)
 
 
@@ -148,7 +149,7 @@ def estimate(
     folder: Path,
     jobs: int = 1,
     history: History = NONE_SEEN,
-) -> tuple[list[PlanEstimate], Problems]:
+) -> tuple[list[PlanEstimate], list[ResourceError]]:
     """Estimates of the run, or of evenly spread rows of its sweep, and an error if it can't fit."""
     if not rows:
         found = [estimate_plan(base, until=until, history=history)]
