@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
-    from sppm_pipeline.engine.plan.rates import Seen
+    from sppm_pipeline.engine.plan.rates import History
     from sppm_pipeline.engine.plan.session import RunRequest, Session
     from sppm_pipeline.engine.plan.trust import UntrustedError
     from sppm_pipeline.hookspecs import Command
@@ -106,7 +106,7 @@ def run_folder(args: Namespace, session: Session) -> Path:
     return getattr(args, "output", None) or Path("runs") / session.configuration.name
 
 
-def history_of_machine(args: Namespace) -> dict[str, Seen]:
+def history_of_machine(args: Namespace) -> History:
     """Time and memory of runs with the same cache."""
     from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
     from sppm_pipeline.engine.plan.rates import history_of
