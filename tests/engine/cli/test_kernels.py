@@ -150,7 +150,7 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
 
 def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     one = [k for k in listed_kernels() if k.place.endswith("encoding:_largest_bits")]
-    monkeypatch.setattr("sppm_pipeline.engine.cli.kernels.listed_kernels", lambda: one)
+    monkeypatch.setattr("sppm_pipeline.engine.plan.kernels.listed_kernels", lambda: one)
     monkeypatch.setattr("sppm_pipeline.services.jit.machine_code.hindrance", lambda: "")
     main(["doctor"])
     assert "empty; 1 of 1 that are common are not, which `sppm doctor --kernels` compiles" in capsys.readouterr().out
