@@ -146,7 +146,7 @@ class FieldSurface:
     source : ScalarField
     grid : Grid
         Nodes, cell sizes.
-    islands : {"remove", "keep"}
+    islands : {"auto", "remove", "keep"}
         Whether solid that is not connected, across faces of voxels around the nodes, to the largest component is left
         out. On the grid of a single periodic cell components are found on the torus, so that opposite faces stay equal.
     caps : bool
@@ -158,7 +158,7 @@ class FieldSurface:
 
     source: ScalarField
     grid: Grid
-    islands: str = "remove"
+    islands: str = "auto"
     caps: bool = True
     cut: bool = True
 
@@ -288,6 +288,7 @@ class FieldSurface:
             return SampledSlabs(computed_ahead(self._sampled(threads), threads))
         from sppm_pipeline.method.connectivity.components import components_of_runs
         from sppm_pipeline.method.connectivity.islands import negate_runs
+        from sppm_pipeline.method.connectivity.removal import check_removal
         from sppm_pipeline.method.connectivity.runs import find_runs, stack_runs
 
         # on the torus the last node of an axis is the first one
@@ -304,6 +305,8 @@ class FieldSurface:
                 kept.append(slab)
         found = components_of_runs(stack_runs(runs), (torus,) * 3)
         total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
+        removed = (total - largest) / max(1, total)
+        check_removal(removed, self.islands, finer="finer voxels")
         # the two ends of a run are vertices, and the surface crosses the edges of the other two directions as often;
         # reserved memory costs nothing until it is used
         vertices = int(1.05 * 6 * found.runs.n_runs)
@@ -314,7 +317,7 @@ class FieldSurface:
         def predict() -> ExpectedSize:
             from sppm_pipeline.features.surface.numerics.run_counts import count_mesh
 
-            return self._predictn(*count_mesh(solid_runs, stays, self.caps, threads))
+            return self._predicted(*count_mesh(solid_runs, stays, self.caps, threads))
 
         def cleaned() -> Iterator[SampledSlab]:
             for slab in _emptied(kept) if keep else computed_ahead(self._sampled(threads), threads):
@@ -324,10 +327,9 @@ class FieldSurface:
 
         # the rims of a part have more points, and on the torus solid at the border is counted once
         certain = None if torus or isinstance(self.source, Part) else predict
-        findings = {"removed_share": (total - largest) / max(1, total)}
-        return SampledSlabs(cleaned(), findings, (vertices, 2 * vertices), certain)
+        return SampledSlabs(cleaned(), {"removed_share": removed}, (vertices, 2 * vertices), certain)
 
-    def _predictn(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> ExpectedSize:
+    def _predicted(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> ExpectedSize:
         """Of a mesh whose solid nodes lie in this box: it ends within a voxel, or where it is capped."""
         origin, spacing, last = np.array(self.grid.origin), np.array(self.grid.spacing), np.array(self.grid.shape) - 1
         least = origin + np.array([low, high]) * spacing

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.connectivity.removal import removal_warning
 from sppm_pipeline.method.families.slab_writer import DividedLayers, divides, encoded_bits, image_of
 from sppm_pipeline.method.slicing.sampled_slices import SampledSlices
 from sppm_pipeline.method.slicing.slice_stack import Slabs, SliceStack
@@ -95,7 +96,9 @@ class LayerWriter(Stage):
     maps: ClassVar[bool] = True
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("bytes"),
+        Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("porosity"),
+        Headline("infill_porosity", "porosity of the infill"), Headline("removed_share", "share of solid removed"),
+        Headline("bytes"),
     )  # fmt: skip
     suffix: ClassVar[str] = ""  # ends the names of the files that `store` makes in its folder
 
@@ -231,7 +234,11 @@ class LayerWriter(Stage):
         self.store(target, stack, layers)
         if layers.taken != nz:
             raise RuntimeError(f"`store` of {self.name} has taken {layers.taken} of {nz} layers")
-        context.report(bytes=layers.bytes, layers=nz, **layers.findings, **self.facts(stack, layers.findings))
+        found = layers.findings
+        context.report(bytes=layers.bytes, layers=nz, **found, **self.facts(stack, found))
+        porosity = (found["porosity_with_islands"], found["porosity"]) if "porosity" in found else None
+        if warning := removal_warning(found.get("removed_share", 0.0), porosity):
+            context.warn(warning)
         if overview:
             from PIL import Image
 

@@ -4,7 +4,7 @@ A stage calls a declaration with its default, and with bounds or choices of its 
 particular to the stage goes behind the shared sentence as a note::
 
     resolution: int = options.resolution(48, maximum=512)
-    islands: str = options.islands("remove", note="in the finished part")
+    islands: str = options.islands("auto", note="in the finished part")
 
 `tests/stages/test_option_words.py` holds every stage to it. Lengths without a unit are fractions of the cell size.
 """
@@ -39,7 +39,10 @@ cells = _shared("number of cells along x, y, z, for a box of cells instead of a 
 periodic = _shared("opposite sides are neighbors, as homogenization needs it")
 resolution = _shared("voxels along an edge of the cell", unit="voxels", minimum=2, maximum=1024)
 voxel = _shared("edge of a voxel", unit="mm", above=0, maximum=1e6)
-islands = _shared("what becomes of disconnected solid", choices=("remove", "keep"))
+islands = _shared(
+    "treatment of disconnected solid: auto removes it, but refuses to remove 10 % of the solid or more",
+    choices=("auto", "remove", "keep"),
+)
 exact = _shared("sum the kernels at every sample of fine grids, too, instead of interpolating between coarser sums")
 
 # pores

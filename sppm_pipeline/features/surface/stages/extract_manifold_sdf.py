@@ -71,7 +71,7 @@ class ManifoldSdf(Stage):
         maximum=1e6,
         formerly="tolerance",
     )
-    islands: str = options.islands("remove")
+    islands: str = options.islands("auto")
     time_limit: float = options.time_limit(600.0, note="there is one for every surface and every cut")
 
     def check_options(self) -> None:
@@ -146,13 +146,15 @@ class ManifoldSdf(Stage):
 
     def _without_islands(self, context: Context, made: Mesh) -> Mesh:
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
+        from sppm_pipeline.method.families.removal import report_removal
 
         shells = find_shells(*made)
         context.report(bodies=shells.bodies, cavities=shells.cavities)
         if self.islands == "keep":
             return made
         kept = largest_body(*made, shells)
-        context.report(removed_share=1 - float(find_shells(*kept).volumes.sum() / shells.volumes.sum()))
+        removed = 1 - float(find_shells(*kept).volumes.sum() / shells.volumes.sum())
+        report_removal(context, removed, self.islands)
         return kept
 
     def _samples(self, context: Context, field: ScalarField, grid: Grid) -> NDArray[np.float32]:

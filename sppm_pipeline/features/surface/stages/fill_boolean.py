@@ -64,7 +64,7 @@ class BooleanFill(Stage):
         formerly="spacing",
     )
     skin: Length | None = options.skin(None, above=0, maximum=1e6)
-    islands: str = options.islands("remove", note="in the finished part")
+    islands: str = options.islands("auto", note="in the finished part")
     time_limit: float = options.time_limit(600.0, note="there is one for the Boolean")
 
     def check_options(self) -> None:
@@ -83,6 +83,7 @@ class BooleanFill(Stage):
         """Extract, predict the memory, intersect, check."""
         from sppm_pipeline.features.surface.numerics.booleans import check_solid
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
+        from sppm_pipeline.method.families.removal import report_removal
         from sppm_pipeline.services.mesh.measures import volume
 
         edge = field.physical_edge()
@@ -120,9 +121,9 @@ class BooleanFill(Stage):
         shells = find_shells(*made)
         whole = float(shells.volumes.sum())
         context.report(bodies=shells.bodies, cavities=shells.cavities)
-        if self.islands == "remove":
+        if self.islands != "keep":
             made = largest_body(*made, shells)
-            context.report(removed_share=1 - volume(*made) / whole)
+            report_removal(context, 1 - volume(*made) / whole, self.islands)
         return SurfaceMesh(*made, name=domain.name)
 
 
