@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -172,14 +172,19 @@ def without_faces(
 
 @dataclass(frozen=True, kw_only=True)
 class Tiler(Stage):
-    """Base of tile rules: implement `lay`; `run` finds the cells that are needed.
+    """Base of tile rules: implement `lay`; `run` finds the cells that are needed, and cuts the field.
 
     Unless the box repeats, one more cell is laid on all sides, as if the box or part were cut out of a larger whole.
+    The level is that at which what was laid has the porosity asked for: tiles differ by some per cent in porosity, and
+    a box or part holds some of them more often than others.
     """
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
     cells: tuple[int, int, int] | None = options.cells(None)
     periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    porosity: float | None = options.porosity(None, note="that of the part or box; that of the tile set if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+    version: ClassVar[int] = 2
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
     advice: ClassVar[str] = "give larger cells or fewer of them"
 
@@ -207,7 +212,7 @@ class Tiler(Stage):
         """
 
     def estimate(self, palette: Palette, tileset: Size, cover: Size | None) -> Size:
-        return tiling_size(self.cell, self.cells, cover, tileset)
+        return measured_tiling(tiling_size(self.cell, self.cells, cover, tileset), self.resolution)
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""
@@ -226,7 +231,12 @@ class Tiler(Stage):
         # faces at both ends of a box that repeats are one
         if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
             raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
-        return Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
+        tiling = Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
+        porosity = tileset.target if self.porosity is None else self.porosity
+        if porosity is None:
+            return tiling
+        part = cover if self.cells is None else None  # a box lies where it lies, whatever mesh was read before
+        return at_porosity(context, tiling, part, porosity, self.resolution)
 
 
 def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
@@ -275,6 +285,12 @@ def measured_per_edge(cells: float, resolution: int) -> int:
 def measured_voxels(cells: float, resolution: int) -> float:
     """Samples that `at_porosity` takes of so many cells."""
     return cells * float(measured_per_edge(cells, resolution)) ** 3
+
+
+def measured_tiling(made: Size, resolution: int) -> Size:
+    """The size of a tiling with the work of `at_porosity`."""
+    measured = made.grid(measured_per_edge(made.cells, resolution))
+    return replace(made, samples=measured.samples, sums=measured.sums, resident=measured.samples)
 
 
 def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.int64], tuple[int, int, int]]]:
@@ -335,7 +351,7 @@ def at_porosity(
         )
     # a quantile of G: the share of samples below the level is the solid
     micro = micro.with_level(level_for_porosity(samples, porosity).level)
-    return Tiling(TileSet(micro, tiling.tileset.kind, 0), tiling.arrays, tiling.edge, tiling.origin)
+    return replace(tiling, tileset=replace(tiling.tileset, micro=micro))
 
 
 def check_repeats(periodic: bool, cells: tuple[int, int, int] | None) -> None:
