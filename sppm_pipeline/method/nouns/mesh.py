@@ -26,7 +26,7 @@ from sppm_pipeline.services.paging import blocks
 if TYPE_CHECKING:
     from sppm_pipeline.services.mesh.outer_surface import OuterSurface
 
-_MOST_VERTICES = 2**31 - 1
+_MAX_VERTICES = 2**31 - 1  # faces are int32
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class SurfaceMesh(Viewable):
 
     @property
     def is_whole(self) -> bool:
-        """Whether there are arrays; not so of a mesh that was given away in pieces, which nobody else asks for."""
+        """True if there are arrays; a mesh that was given away in pieces has none."""
         return "_counts" not in self.__dict__
 
     @property
@@ -152,7 +152,7 @@ class SurfaceMesh(Viewable):
 
     @cached_property
     def bounds_solid(self) -> bool:
-        """Whether the triangles bound a volume; if not, what is inside is a matter of votes."""
+        """True if the triangles bound a volume; if not, rays vote on what is inside."""
         from sppm_pipeline.services.mesh.measures import edge_counts
 
         return edge_counts(self.faces).bounds_solid
@@ -246,9 +246,9 @@ class RepeatedMesh(Artifact):
             If it would have more vertices than 32 bits count.
         """
         n, copies = len(self.mesh.vertices), len(self.offsets)
-        if n * copies > _MOST_VERTICES:
+        if n * copies > _MAX_VERTICES:
             raise DesignError(
-                f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MOST_VERTICES}",
+                f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MAX_VERTICES}",
                 hint="write a .glb file or `copies: components`, which place copies, or slice without a mesh",
             )
         vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(-1, 3)

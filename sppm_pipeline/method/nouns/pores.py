@@ -15,7 +15,7 @@ from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.distinct import distinct
 
 _ROUNDING = 1e-9
-"""How far, in cell sizes, a pore may lie outside of its cell by rounding."""
+"""Distance, in cell sizes, that a pore may lie outside of its cell by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class PoreSet(Artifact):
 
     def __post_init__(self) -> None:
         centers = in_rows(np.asarray(self.centers, np.float64), 3, "pore centers")
-        # of a view a copy is made, so that the array of whoever calls stays theirs
+        # a view is copied, so that the caller's array stays writable
         object.__setattr__(self, "centers", frozen(centers.reshape(-1, 3)))
         object.__setattr__(self, "piece", frozen(whole_numbers(self.piece, np.int32, "the pieces of pores")))
 
@@ -118,7 +118,7 @@ class PoreSet(Artifact):
 
     @property
     def has_faces(self) -> bool:
-        """Whether pores were put on the faces of the cell."""
+        """True if there are pores on the faces of the cell."""
         return sum(self.colors) > 0
 
     def axis_of_piece(self) -> NDArray[np.int64]:

@@ -37,12 +37,12 @@ def _within(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """How the plate moves between two exposures; of each pair, the first is for bottom layers.
+    """Motion of the plate between two exposures; of each pair, the first is for bottom layers.
 
     Attributes
     ----------
     lift_mm : pair of floats
-        How far the plate is lifted and lowered again.
+        Distance that the plate is lifted and lowered again.
     lift_mm_min, retract_mm_min : pair of floats
         Speeds, mm a minute.
     wait_before_cure_s, wait_after_cure_s, wait_after_lift_s : pair of floats
@@ -84,7 +84,7 @@ class Printer:
     height_mm : float
         Largest height of a part.
     layer_mm : pair of floats
-        Smallest and largest layer height; a choice of ours where the source names none.
+        Smallest and largest layer height; where the source names none, the usual range of such printers.
     mirror_x, mirror_y : bool
         Whether the order of the columns or rows of its pictures is reversed.
     portrait : bool
@@ -98,7 +98,7 @@ class Printer:
     source : str
         Where these numbers were read.
     verified_on_hardware : bool
-        Whether somebody has printed a file of this program with this card.
+        Whether a file of this program has been printed with this card.
     """
 
     name: str
@@ -137,7 +137,7 @@ class Printer:
         return *self.display_mm, self.height_mm
 
     def contradiction(self) -> str | None:
-        """What can't be true of a printer; None if all can."""
+        """Description of an impossible property of the printer; None if all are possible."""
         if self.format not in FORMATS:
             return f"`format` is {self.format!r}; it is one of {', '.join(FORMATS)}"
         x, y = self.pixel_mm
@@ -153,7 +153,7 @@ class Printer:
         return None
 
     def holds(self, size_mm: Iterable[float]) -> bool:
-        """Whether a part of a size along x, y, z fits in as it lies."""
+        """Test whether a part of a size along x, y, z fits in as it lies."""
         return all(side <= room * (1 + 1e-9) for side, room in zip(size_mm, self.volume_mm, strict=True))
 
     def require_layer(self, height: float) -> None:
@@ -238,7 +238,7 @@ class Resin:
     measured: bool
 
     def contradiction(self) -> str | None:
-        """What can't be true of a resin; None if all can."""
+        """Description of an impossible property of the resin; None if all are possible."""
         return None
 
 

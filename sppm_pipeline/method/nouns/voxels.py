@@ -128,7 +128,7 @@ class Voxels(Artifact):
 
     @property
     def fractions(self) -> bool:
-        """Whether the values are solid fractions, not phases."""
+        """True if the values are solid fractions, not phases."""
         return self.values.dtype.kind == "f"
 
     @property

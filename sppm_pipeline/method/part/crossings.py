@@ -1,4 +1,4 @@
-"""Where the edges of a grid pierce the triangles of a part: its surface to the last bit, sharp edges included."""
+"""Points where grid edges pierce the triangles of a part: its surface to the last bit, sharp edges included."""
 
 from __future__ import annotations
 

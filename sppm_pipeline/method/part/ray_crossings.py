@@ -1,4 +1,4 @@
-"""Where rays along the rows of a grid go through the triangles of a mesh.
+"""Crossings of rays along the rows of a grid with the triangles of a mesh.
 
 Rays through edges and vertices need no special cases. A layer z = z_k cuts an edge if exactly one of its ends has
 z <= z_k; so a triangle is cut in no edge or in two, one going up and one going down. The triangle counts on the rows

@@ -198,7 +198,7 @@ def _within(
     point: NDArray[np.float64],
     limit: float,
 ) -> bool:
-    """Whether a triangle lies nearer to a point than a distance, given squared."""
+    """Test whether a triangle lies nearer to a point than a distance, given squared."""
     leaves = starts.size - 1
     waiting[0] = 0
     left = 1

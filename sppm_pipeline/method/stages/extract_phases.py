@@ -117,7 +117,7 @@ class ExtractPhases(Stage):
 
 
 def _check_fits(first: ScalarField, field: ScalarField, number: int) -> None:
-    """Whether a field lies where the first one does, or repeats as that one does."""
+    """Raise `ConfigError` unless a field lies where the first one does, or repeats as that one does."""
     edges = (first.edge_mm, field.edge_mm)
     if None not in edges and edges[0] != edges[1]:
         raise ConfigError(
