@@ -119,6 +119,7 @@ def _box_components(
     count = 0
     for r in range(n_runs):
         if parent[r] == r:
+            # roots come first, so their numbers ascend with the first voxels
             parent[r] = count
             count += 1
         else:

@@ -110,6 +110,7 @@ class IslandFilter:
 
     def _advance(self, layer: NDArray[np.uint64], counting: bool) -> Runs:
         """Find the runs of the next layer (1, ny, words) and their ids; count their voxels in the first pass."""
+        # runs, not voxels: far fewer, and as quick to join
         runs = runs_of_bits(layer, self._shape[1])
         needed = self._n_ids + runs.n_runs
         if needed > self._parent.size:
@@ -308,6 +309,7 @@ class IslandFilter:
             self._z += 1
             if loose.main < 0:
                 continue
+            # the component that was the largest then may be an island in the end
             main_stays = bool(self._verdict[loose.main])
             # runs that share the fate of the main component need not be touched
             chosen = loose.runs[self._verdict[loose.runs[:, 3]] != main_stays]
@@ -338,6 +340,7 @@ def _other_layer(z: int) -> InputError:
 @jit
 def _resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
     """Point every id at its root and gather counts and bounding boxes there."""
+    # in ascending order the parent of a parent is a root already
     for i in range(parent.size):
         root = parent[parent[i]]  # a parent is never after its child
         parent[i] = root

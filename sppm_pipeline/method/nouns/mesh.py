@@ -124,6 +124,7 @@ class SurfaceMesh(Viewable):
         ResourceError
             If trimesh is not installed.
         """
+        # without `process` trimesh neither merges nor drops vertices
         return optional_module("trimesh").Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
 
     def to_pyvista(self) -> Any:
@@ -140,6 +141,7 @@ class SurfaceMesh(Viewable):
         """Finite vertices, indices in range."""
         if not self.is_whole:
             return  # those who took the pieces have seen to it
+        # in blocks, as a mesh may lie in a file that is larger than the memory
         for rows in blocks(len(self.vertices), self.vertices):
             if not np.isfinite(self.vertices[rows]).all():
                 raise ValueError("mesh vertices must be finite")
@@ -251,6 +253,7 @@ class RepeatedMesh(Artifact):
                 f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MAX_VERTICES}",
                 hint="write a .glb file or `copies: components`, which place copies, or slice without a mesh",
             )
+        # copies are not merged where they touch, so each stays closed
         vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(-1, 3)
         faces = (np.arange(copies, dtype=np.int32)[:, None, None] * np.int32(n) + self.mesh.faces).reshape(-1, 3)
         return SurfaceMesh(vertices, faces, name=self.mesh.name)

@@ -164,6 +164,7 @@ class Printer:
         ConfigError
         """
         low, high = self.layer_mm
+        # heights given as text may be rounded
         if not low * (1 - CLOSE) <= height <= high * (1 + CLOSE):
             raise ConfigError(
                 f"`layer` is {height:g} mm; {self.name} prints layers of {low:g} to {high:g} mm",
@@ -194,6 +195,7 @@ class Printer:
         part = x, y, z = tuple(size_mm)
         if self.holds(part):
             return
+        # the smallest by volume; the name decides between equals, so that the message is always the same
         larger = sorted((o for o in others if o.holds(part)), key=lambda o: (math.prod(o.volume_mm), o.name))
         hints = ["turned by 90 degrees about z it fits"] if self.holds((y, x, z)) else ["scale the part"]
         if larger:
@@ -281,6 +283,7 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
     if name in known:
         return known[name]
     word = name.lower().replace(" ", "_").replace("-", "_")
+    # first names that contain the word or are part of it, then misspelled ones, then those with a similar part
     parts = {part for key in known for part in key.split("_")}
     near = sorted((key for key in known if word in key or key in word), key=len)
     near = near or difflib.get_close_matches(word, known, 3, 0.6)
@@ -307,6 +310,7 @@ def cards(own: Path | None = None) -> Cards:
         found = _read(own.read_bytes(), str(own))
     except OSError as error:
         raise ConfigError(f"`cards` is {own}, which can't be read: {error.strerror}") from error
+    # a card of the user replaces the built-in one of the same name
     return Cards({**built_in.printers, **found.printers}, {**built_in.resins, **found.resins})
 
 
@@ -354,6 +358,7 @@ def _read(data: bytes, file: str) -> Cards:
     if len(data) > LARGEST_FILE:
         raise InputError(f"{file}: {len(data)} bytes are too many for a file of printers; {LARGEST_FILE} are allowed")
     try:
+        # the safe loader makes plain data and runs no code
         document = YAML(typ="safe").load(data)
     except (YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: this is no YAML: {str(error).splitlines()[0]}") from error
@@ -373,6 +378,7 @@ def _card(kind: type[Any], name: str, entry: Any, file: str) -> Any:
     where = f"{file}: {name}"
     if not isinstance(entry, dict):
         raise InputError(f"{where}: a card is a map of entries, got {entry!r}")
+    # annotations are text in this module
     hints = typing.get_type_hints(kind)
     own = {} if kind is Motion else {"name": name}
     fields = {f.name: f for f in dataclasses.fields(kind) if f.name not in own}
@@ -406,6 +412,7 @@ def _value(hint: Any, metadata: Mapping[str, Any], value: Any, where: str) -> An
     if not whole and value is None:  # an open number of a resin
         return None
     low, high = metadata["bounds"]
+    # in Python a bool is an int
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
         wanted = f"{'an integer' if whole else 'a number'} of {low:g} to {high:g}"
         raise InputError(f"{where}: {wanted} is expected, got {value!r}")

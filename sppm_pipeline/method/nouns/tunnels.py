@@ -74,6 +74,7 @@ class TunnelGraph(Artifact):
         ends = in_rows(whole_numbers(np.array(edges), np.int64, "the ends of tunnels"), 2, "the ends of tunnels")
         if len(ends) and not 0 <= ends.min() <= ends.max() < len(pores.centers):
             raise ValueError("a tunnel names a pore that does not exist")
+        # minimum image: the offset of a periodic neighbor is at most half a cell along each axis
         nearest = -np.round(pores.centers[ends[:, 1]] - pores.centers[ends[:, 0]])
         graph = cls(pores, ends, np.array(nearest if shift is None else shift, np.int64))
         graph.check()
@@ -95,6 +96,7 @@ class TunnelGraph(Artifact):
 
     def _check_distinct(self) -> None:
         """No tunnel without length, and none given twice, be it from the other end."""
+        # the order in which connectors make them; then no sort is needed
         if self._ascending():
             return
         twins = twin_rows_of(len(self.edges), self._directed, _BLOCK)
@@ -109,6 +111,7 @@ class TunnelGraph(Artifact):
         loops = np.flatnonzero((a == b) & ~s.any(1))
         if len(loops):
             raise ValueError(f"tunnel {some.start + loops[0]} leads from pore {a[loops[0]]} to itself")
+        # a loop to an own image is the same tunnel in both directions: the first shift that is not 0 decides
         leading = np.where(s[:, 0] != 0, s[:, 0], np.where(s[:, 1] != 0, s[:, 1], s[:, 2]))
         backward = (a > b) | ((a == b) & (leading < 0))
         sign = np.where(backward, -1, 1)
@@ -120,6 +123,7 @@ class TunnelGraph(Artifact):
             return False
         equal, less = np.ones(max(len(self.edges) - 1, 0), bool), np.zeros(max(len(self.edges) - 1, 0), bool)
         for column in (*self.edges.T, *self.shift.T):
+            # lexicographic comparison of neighbors, column by column
             less |= equal & (column[:-1] < column[1:])
             equal &= column[:-1] == column[1:]
         return bool(less.all())

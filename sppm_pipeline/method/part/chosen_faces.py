@@ -32,6 +32,7 @@ def faces_toward(
     length = np.linalg.norm(normals, axis=1)
     ways = np.reshape(np.asarray(directions, np.float64), (-1, 3))
     ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    # not divided by the length: triangles without an area would give 0 / 0
     cosines = (normals @ ways.T).max(1, initial=-np.inf)
     chosen: NDArray[np.bool_] = (length > 0) & (cosines >= (math.cos(math.radians(angle)) - 1e-9) * length)
     return chosen

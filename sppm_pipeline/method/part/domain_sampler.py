@@ -122,6 +122,7 @@ class DomainSampler:
         block = max(1, DISTANCE_SAMPLES // (nx * ny), 4 * math.ceil(self._skin_mm / self._world.spacing[2]))
         out = np.empty((stop - start, ny, nx), np.float32)
         for number in range(start // block, -(-stop // block)):
+            # blocks of the grid, not of the request, so that every request gets the same bits
             first, last = number * block, min(nz, (number + 1) * block)
             if what not in self._kept or self._kept[what][0] != number:
                 compute = self._signed_distance if what == "domain" else self._skin_distance

@@ -78,6 +78,7 @@ class Part(WrappedField):
         """Method of the inside test of the domain."""
         from sppm_pipeline.method.part.inside import way_for
 
+        # rays are exact, but leak where a mesh is open
         return self.inside or way_for(self.domain.bounds_solid)
 
     def check(self) -> None:
@@ -186,6 +187,7 @@ class Part(WrappedField):
             # only a closed mesh without skin and drains is known by its triangles alone
             return *self.fields_zyx(grid, threads, start, stop), crossings
         inside = domain.inside(start, stop).view(np.bool_)
+        # a node on the surface is outside whichever way it is rounded, or flat faces would be ragged
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
         inner = self.base.sample_zyx(grid, start, stop, threads)
@@ -267,6 +269,7 @@ class Part(WrappedField):
     def coarse_pitch(self) -> float:
         """Edge of the voxels, mm, of which there are about `COARSE_VOXELS` in the box of the part."""
         extent = np.asarray(self.domain.upper - self.domain.lower)
+        # a skin needs more than a voxel to be closed
         fine = self.skin_mm / 1.5 or math.inf
         return float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
 

@@ -134,6 +134,7 @@ class SampledSlices(SliceStack):
     def height(self) -> int:
         """Sheets of samples that are decided at a time: some, or those of one layer."""
         nx, ny, _ = self.samples.shape
+        # whole layers only, as the sheets of one layer become one picture
         return max(1, self._at_once() // (nx * ny * self.sublayers)) * self.sublayers
 
     def _at_once(self) -> int:
@@ -167,6 +168,7 @@ class SampledSlices(SliceStack):
         islands: dict[str, Any] = {}
         summary: dict[str, Any] = {}
         for start, solid in self._cleaned(threads, islands, summary):
+            # after the removal: what is printed
             voxels += count(solid)
             yield start, solid
         return self.findings(islands, voxels, summary)

@@ -203,6 +203,7 @@ class _Bits:
 
     def __init__(self, file: str | None) -> None:
         self._final = None if file is None else Path(file)
+        # two workers may be given the same slab if one is taken for dead
         self._part = Path(f"{file}.{socket.gethostname()}-{os.getpid()}")
         self._open: IO[bytes] | None = None
 
@@ -226,6 +227,7 @@ class _Bits:
         try:
             self._open.close()
             if kind is None and self._final is not None:
+                # atomic: a reader finds all of the slab or nothing
                 os.replace(self._part, self._final)
                 return
         except OSError:

@@ -127,6 +127,7 @@ class SliceStack(Artifact, ABC):
                     )
                 if start != below or start + len(layers) > nz:
                     raise fault(f"that delivers layers {start} to {start + len(layers) - 1} after {below} of {nz}")
+                # checked slab by slab, so that a faulty plugin is named before much is written
                 below += len(layers)
                 yield start, layers
         finally:
@@ -190,6 +191,7 @@ class SliceStack(Artifact, ABC):
             values = values * np.uint8(255)
         if not 0 <= values.min() <= values.max() <= 255:
             raise ValueError("layers hold integers from 0 (void) to 255 (solid)")
+        # a copy: the caller may go on to change the array
         stack = ArraySlices(frozen(values.astype(np.uint8)), pitch, printer)
         stack.check()
         return stack

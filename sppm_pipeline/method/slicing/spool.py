@@ -41,6 +41,7 @@ def _kept(bits: NDArray[np.uint64]) -> NDArray[np.uint64] | _Words:
     there = words != 0
     if np.count_nonzero(there) > SPARSE * len(words):
         return bits
+    # the flags take 1/64 of the words
     return _Words(np.packbits(there), words[there], bits.shape)
 
 

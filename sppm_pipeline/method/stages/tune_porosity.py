@@ -13,6 +13,7 @@ from sppm_pipeline import (
     ConfigError,
     Context,
     DesignError,
+    Headline,
     Length,
     Microstructure,
     Palette,
@@ -69,6 +70,11 @@ class TunePorosity(Stage):
     """
 
     name: ClassVar[str] = "tune.porosity"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("porosity"), Headline("count", "pores"), Headline("gap"), Headline("draw"), Headline("level"),
+        Headline("pore_radius", "pore radius"), Headline("pore_radius_asked", "asked for"),
+        Headline("tunnel_radius", "tunnel radius"), Headline("tunnel_radius_asked", "asked for"),
+    )  # fmt: skip
     reported: ClassVar[tuple[str, ...]] = (
         "count", "line.slope", "line.intercept", "line.r_squared", "line.residual_sd", "line.largest_residual",
         "line.n_min", "line.n_max", "line.samples", "porosity", "porosity_error", "checked_at", "level",
