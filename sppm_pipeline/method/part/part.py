@@ -309,7 +309,7 @@ class Part(WrappedField):
         if sampler is None or sampler.of != grid:
             world = self.in_mm(grid)
             sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
-            # weak keys: a sampler goes with its part
+            # weak keys: a sampler is freed with its part
             _SAMPLERS[self] = sampler
         return sampler
 

@@ -241,7 +241,7 @@ def _crossings(
                     y_down, x_down = y, x
             j_up = _first_at(origin[1], spacing[1], int(np.int64(0)), n_row, y_up)
             j_down = _first_at(origin[1], spacing[1], int(np.int64(0)), n_row, y_down)
-            # with outward winding the sense in which rows are passed tells entry from exit
+            # with outward winding the sense in which rows are passed distinguishes entry from exit
             entering = 1 if j_up < j_down else 0
             j_stop = max(j_up, j_down)
             for j in range(min(j_up, j_down), j_stop):
