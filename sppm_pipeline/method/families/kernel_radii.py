@@ -48,15 +48,15 @@ def with_radii(micro: Microstructure, pore: float = 1.0, tunnel: float = 1.0) ->
     kernels = micro.pieces.kernels
     profile = TUNNEL_PROFILES[kernels.profile]
     changed = kernels._replace(
-        omega=kernels.omega * PORE_PROFILE.scaled_radius(np.float64(pore)),
-        mu=kernels.mu * profile.scaled_radius(np.float64(tunnel)),
+        omega=kernels.omega * PORE_PROFILE.scaled_radius(np.array([pore])),
+        mu=kernels.mu * profile.scaled_radius(np.array([tunnel])),
     )
     return replace(micro, pieces=replace(micro.pieces, kernels=changed))
 
 
 def reported_radii(micro: Microstructure, asked: Radii) -> dict[str, float]:
     """Radii obtained beside those asked for, in mm, too, if the size of the cell is known."""
-    found = {}
+    found: dict[str, float] = {}
     for name, obtained, before in zip(Radii._fields, radii_of(micro), asked, strict=True):
         found |= {f"{name}_radius": obtained, f"{name}_radius_asked": before}
         if micro.edge_mm is not None:

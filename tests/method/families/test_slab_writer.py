@@ -164,7 +164,7 @@ def test_slabs_cover_the_stack_and_begin_where_it_would_begin_one(wang_tiling, m
         assert tasks[-1].stop == stack.samples.shape[2]
         assert all(task.start % stack.height == 0 for task in tasks)
     assert len(slab_tasks(stack, 2, 1, 1)) == 2 * stack.shape[2] // 4  # as low as can be
-    assert slab_passes.HELD == crew.AHEAD
+    assert slab_passes.RESULTS_PER_WORKER == crew.AHEAD
     nx, ny, _ = stack.shape
     tasks = slab_tasks(stack, 1, 1, slab_passes.MEMORY_PER_RESULT * slab_passes.RESULTS_PER_WORKER * nx * ny * 5)
     assert max(task.stop - task.start for task in tasks) == 8  # 5 layers, in whole slabs of the stack
