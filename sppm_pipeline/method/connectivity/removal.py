@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 from sppm_pipeline.errors import DesignError
 
 # removing a share s of the solid moves the porosity p by s (1 - p)
@@ -55,6 +57,22 @@ def removal_warning(share: float, porosity: tuple[float, float] | None = None) -
     if share < WARNED_REMOVAL:
         return None
     return f"{_removal(share, porosity)}; it was removed"
+
+
+class Reporter(Protocol):
+    """The part of a context that takes numbers and warnings."""
+
+    def report(self, **values: Any) -> None: ...
+
+    def warn(self, message: str) -> None: ...
+
+
+def report_removal(context: Reporter, share: float, islands: str, finer: str = "finer voxels") -> None:
+    """Report the share of solid that a stage removes as islands, refuse as `check_removal` does, or warn."""
+    context.report(removed_share=share)
+    check_removal(share, islands, finer=finer)
+    if warning := removal_warning(share):
+        context.warn(warning)
 
 
 def _removal(share: float, porosity: tuple[float, float] | None) -> str:

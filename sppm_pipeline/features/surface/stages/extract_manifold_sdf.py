@@ -146,7 +146,7 @@ class ManifoldSdf(Stage):
 
     def _without_islands(self, context: Context, made: Mesh) -> Mesh:
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
-        from sppm_pipeline.method.families.removal import report_removal
+        from sppm_pipeline.method.connectivity.removal import report_removal
 
         shells = find_shells(*made)
         context.report(bodies=shells.bodies, cavities=shells.cavities)

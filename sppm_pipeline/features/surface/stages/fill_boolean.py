@@ -83,7 +83,7 @@ class BooleanFill(Stage):
         """Extract, predict the memory, intersect, check."""
         from sppm_pipeline.features.surface.numerics.booleans import check_solid
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
-        from sppm_pipeline.method.families.removal import report_removal
+        from sppm_pipeline.method.connectivity.removal import report_removal
         from sppm_pipeline.services.mesh.measures import volume
 
         edge = field.physical_edge()

@@ -52,7 +52,7 @@ class IsosurfaceStuffing(Stage):
         from sppm_pipeline.features.tetrahedra.numerics.quadratic import with_mid_nodes
         from sppm_pipeline.features.tetrahedra.numerics.quality import quality
         from sppm_pipeline.features.tetrahedra.numerics.stuffing import require_room, stuff, without_islands
-        from sppm_pipeline.method.families.removal import report_removal
+        from sppm_pipeline.method.connectivity.removal import report_removal
 
         n, h = self.resolution, 1.0 / self.resolution
         if (coarse := field.coarseness(h)) is not None:
