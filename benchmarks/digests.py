@@ -84,7 +84,8 @@ def _small(params: str = "", options: str = "", sweep: str = "", plugins: bool =
     return Small(*split, sweep, plugins)
 
 
-_PART = """slice.field.pixel=0.5 mm; part_picture.resolution=8; part_picture.size=[200, 150];
+_ISLANDS = "fill.implicit.islands=remove"  # coarse pixels break walls
+_PART = f"""{_ISLANDS}; slice.field.pixel=0.5 mm; part_picture.resolution=8; part_picture.size=[200, 150];
     extract.marching_cubes.resolution=12"""
 _PICTURE = "write.picture.resolution=8; write.picture.image_size=[200, 150]"
 _VIEW = "write.picture.resolution=10"
@@ -166,7 +167,8 @@ CONFIGS: Mapping[str, Small] = {
     ),
     "scattered_part": _small(
         "cell=10 mm",
-        f"""tile.scattered.resolution=12; slice.field.pixel=[0.6 mm, 0.8 mm]; slice.field.layer=0.5 mm; {_PICTURE}""",
+        f"""{_ISLANDS}; tile.scattered.resolution=12; slice.field.pixel=[0.6 mm, 0.8 mm]; slice.field.layer=0.5 mm;
+        {_PICTURE}""",
     ),
     "stiffest": _small(
         "resolution=20",

@@ -145,8 +145,8 @@ class Calls:
 
 def run_small(name: str, scratch: Path) -> set[str]:
     """Run a configuration; the stages that it has."""
-    from sppm_pipeline.engine.cli.kernels import stages_of
     from sppm_pipeline.engine.config.parameters import Overrides
+    from sppm_pipeline.engine.plan.kernels import stages_of
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
     from sppm_pipeline.engine.run.runner import run_plan
 
@@ -190,7 +190,7 @@ def main() -> None:
     for text in sorted(calls.unlisted):
         print(f"not on the list: {text}")
     if write:
-        from sppm_pipeline.engine.cli.kernels import LIST
+        from sppm_pipeline.engine.plan.kernels import LIST
 
         lines = ",\n".join(json.dumps(entry) for entry in entries)
         LIST.write_text(f"[\n{lines}\n]\n", encoding="utf-8")

@@ -5,6 +5,8 @@ Usage: python -m benchmarks.tetrahedra
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from benchmarks.measure import repeat_in_process, table
@@ -23,13 +25,16 @@ EXACT = 384
 """Voxels along the edge whose centers tell the volume that the meshes are held against."""
 
 
+LOG = math.log(1 / 0.25)  # an isolated kernel has the level 0.25 at its radius: exp(-omega r^2) and exp(-mu r)
+
+
 def paper_cell() -> Microstructure:
     """66 pores, half of them on the faces, omega = mu = 30 in the cell [-1, 1]^3, as in configs/cell.yaml."""
     recipe = recipe_of(
         MirroredFaces(edge=Length(2.0, "mm"), total=66, share=0.5),
         DartThrowing(total=66),
         BoundedDegreeSubgraph(degree=(3, 5), mode="exact"),
-        GaussianField(omega=30.0, mu=30.0, level=0.25),
+        GaussianField(pore_radius=Length(math.sqrt(LOG / 30), "mm"), tunnel_radius=Length(LOG / 30, "mm"), level=0.25),
     )
     made = recipe.run(PlainContext(1))
     assert isinstance(made, Microstructure)

@@ -207,7 +207,7 @@ def lazily(face: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[s
 
 
 def _hint(name: str, names: list[str]) -> str:
-    """Where a name of another face is, or which one is nearly the same."""
+    """Hint: the face that has a name, or a name that is nearly the same."""
     from difflib import get_close_matches
     from importlib import import_module
 

@@ -1,4 +1,4 @@
-"""What a running stage may ask of its surroundings."""
+"""Services that a running stage may use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sppm_pipeline.nouns.palette import Palette
 
 
 class Context(ABC):
-    """What a running stage may ask of its surroundings; the engine implements it.
+    """Services that a running stage may use; the engine implements them.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class Context(ABC):
 
     @abstractmethod
     def progress(self, done: float, total: float, what: str = "") -> None:
-        """Tell how far the work is; cheap enough to be called for every layer."""
+        """Report progress; cheap enough to be called for every layer."""
 
     @abstractmethod
     def warn(self, message: str) -> None:
-        """Tell the user something that does not stop the run; it is kept in the run record."""
+        """Warn the user of something that does not stop the run; it is kept in the run record."""
 
     def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
         """Call ``function(common, item)`` for each item, by the workers of the run, or by threads of this process.
@@ -96,14 +96,15 @@ class Context(ABC):
         sequence of object
             What `Stage.begin` of each has returned; they expect every piece. Empty if there is no such stage, if one of
             them, or anybody else, wants the result whole, or if this stage or one of them is a plugin's. Otherwise
-            nobody will ask for more of the result than these have been told, and its summary.
+            no more of the result will be used than these have received, and its summary.
         """
         return ()
 
     def worth_workers(self, samples: float) -> bool:
-        """Whether so many samples, all that `map` would evaluate, are worth handing to workers; False without any.
+        """True if so many samples, all that `map` would evaluate, are worth handing to workers; False without any.
 
-        Results must not depend on it. Ask once the work is certain to be done: the user is told if workers stay out.
+        Results must not depend on it. Ask once the work is certain to be done: a message says if workers
+        are not used.
         """
         return self.workers > 0
 
@@ -122,7 +123,8 @@ class Context(ABC):
         """
 
     def recall(self, key: str) -> Any:
-        """What an earlier run has kept under a key by `remember` and not forgotten; None if nothing is kept."""
+        """The object that an earlier run has kept under a key by `remember` and not forgotten; None if nothing is
+        kept."""
         return None
 
     def scratch(self) -> Path:
@@ -132,7 +134,7 @@ class Context(ABC):
         return Path(tempfile.gettempdir())
 
     def hashed(self, name: str, sha256: str) -> None:  # noqa: B027 - not every context asks for it
-        """Tell the SHA-256 of an output file that has just been written, so that it is not read again for it."""
+        """Report the SHA-256 of an output file that has just been written, so that it is not read again for it."""
 
     @abstractmethod
     def output(self, name: str) -> Path:

@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -30,7 +31,7 @@ class Position:
 
 
 class SppmError(Exception):
-    """Base of all errors that a user can cause or cure.
+    """Base of all errors that a user can cause or fix.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class ConfigError(SppmError):
 class ConfigErrors(ConfigError):
     """Several configuration errors found in one pass, reported together, in the order of the file."""
 
-    def __init__(self, errors: list[ConfigError]) -> None:
+    def __init__(self, errors: Sequence[SppmError]) -> None:
         if not errors:
             raise ValueError("ConfigErrors needs at least one error")
         super().__init__(f"{len(errors)} error(s)")

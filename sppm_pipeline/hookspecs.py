@@ -36,7 +36,7 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
     """Supply stages.
 
     Called once, when the program needs to know the stages there are. Returns a mapping from the stage's name
-    (``family.name``) to its class, or to ``"module:Class"``, which is imported only when somebody uses the stage.
+    (``family.name``) to its class, or to ``"module:Class"``, which is imported only when the stage is used.
     An empty mapping means: no stages. Example::
 
         @hookimpl
@@ -50,7 +50,7 @@ def sppm_stage_aliases() -> Mapping[str, str | StageAlias]:  # type: ignore[empt
     """Supply former names of stages, so that configurations written before a stage was renamed still run.
 
     Called once, together with `sppm_stages`. Returns a mapping from the former name to the current one, or to a
-    `StageAlias` with the options that the former name implied. Whoever uses a former name is told the current one in a
+    `StageAlias` with the options that the former name implied. A user of a former name is shown the current one in a
     warning; lists and references show current names only. An empty mapping means: nothing was renamed. Example::
 
         @hookimpl
@@ -70,7 +70,7 @@ class Command:
     configure : function of `argparse.ArgumentParser`, or "module:function"
         Adds the verb's arguments.
     execute : function of `argparse.Namespace` that returns the exit code, or "module:function"
-        Does the work; prints results on stdout, and raises `SppmError` for what the user can cure.
+        Does the work; prints results on stdout, and raises `SppmError` for errors that the user can fix.
     after_run : function of the run directory and the `argparse.Namespace` of ``sppm run``, or "module:function"
         What ``sppm run --report`` calls of the verb `report` once the run has ended; prints nothing.
     """
@@ -85,7 +85,7 @@ class Command:
 def sppm_commands() -> Mapping[str, Command]:  # type: ignore[empty-body]
     """Supply verbs of the command line: ``sppm VERB ...``.
 
-    Called with `sppm_stages` when plugins are loaded. Of installed plugins, that is also when somebody asks for a verb
+    Called with `sppm_stages` when plugins are loaded. Of installed plugins, that is also when a user asks for a verb
     that is not built in, or for ``sppm help --all``; ``sppm --help`` loads no plugin. Returns a mapping from the verb
     to a `Command`, whose functions may be given as ``"module:function"``, which is imported only when the verb is used.
     An empty mapping means: no verbs. A verb that is built in, or that another plugin supplies, is an error naming both.
@@ -166,7 +166,7 @@ class StageEvent:
 
     @property
     def failed(self) -> bool:
-        """Whether it did not end well."""
+        """True if it did not end well."""
         return self.error is not None
 
 

@@ -1,4 +1,4 @@
-"""What a stage is; what it may ask of its surroundings is in `sppm_pipeline.context`.
+"""The interface of a stage; that of its surroundings is in `sppm_pipeline.context`.
 
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
@@ -92,6 +92,8 @@ class OptionSpec:
         How the name of an output may end, in lower case: with one of ``.stl``, ...; ``/`` for a folder.
     column : bool
         Whether the value names a column of a table.
+    run_file : bool
+        Whether the value names a file in the folder of each run of a sweep.
     formerly : str or None
         An earlier name of the option, still accepted.
     """
@@ -106,12 +108,13 @@ class OptionSpec:
     output: bool = False
     suffixes: tuple[str, ...] = ()
     column: bool = False
+    run_file: bool = False
     formerly: str | None = None
 
 
 @dataclass(frozen=True)
 class StageAlias:
-    """What a former stage name stands for.
+    """Meaning of a former stage name.
 
     Attributes
     ----------
@@ -165,6 +168,7 @@ def option(
     output: bool = False,
     suffixes: Iterable[str] = (),
     column: bool = False,
+    run_file: bool = False,
     formerly: str | None = None,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
@@ -173,11 +177,23 @@ def option(
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
     A string with `output` names a file or folder below the run directory, which is checked before any work starts;
     `suffixes` are the endings that the stage can write, ``/`` if it writes a folder. A string with `column` names a
-    column of a table; where that is the table of a sweep, a column that no run can make is refused before the sweep.
+    column of a table, one with `run_file` a file in the folder of each run of a sweep; where that is the table of a
+    sweep, what no run can make is refused before the sweep.
     An option that was renamed states its earlier name as `formerly`; configurations that use it run, with a warning.
     """
     spec = OptionSpec(
-        help, unit, minimum, maximum, above, below, tuple(choices), output, tuple(suffixes), column, formerly
+        help=help,
+        unit=unit,
+        minimum=minimum,
+        maximum=maximum,
+        above=above,
+        below=below,
+        choices=tuple(choices),
+        output=output,
+        suffixes=tuple(suffixes),
+        column=column,
+        run_file=run_file,
+        formerly=formerly,
     )
     return dataclasses.field(default=default, metadata={"option": spec})
 
@@ -286,6 +302,9 @@ class Stage(ABC):
     cacheable : bool
         False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
         instance on a clock or a network; it then runs every time, and so does what depends on it.
+    libraries : tuple of str
+        Distributions whose versions its result depends on, besides NumPy, SciPy, Numba and Pillow, which count for
+        every stage; of a plugin's stage, what the plugin requires counts as well.
     headline : tuple of Headline
         The numbers of its summary that the terminal shows after a run; if empty, those of the `Report` that it makes,
         else the first five.
@@ -307,6 +326,7 @@ class Stage(ABC):
     name: ClassVar[str]
     version: ClassVar[int] = 1
     cacheable: ClassVar[bool] = True
+    libraries: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = ()
     reported: ClassVar[tuple[str, ...] | None] = None
     returns: ClassVar[type | None] = None
@@ -319,7 +339,7 @@ class Stage(ABC):
         """Do the work; subclasses state their ports and result by annotation."""
 
     def begin(self, context: Context) -> Any:
-        """What takes the pieces of this stage's only input while the stage before makes it; None if it is wanted whole.
+        """A receiver of the pieces of this stage's only input while the stage before makes it; None to get it whole.
 
         Called before this stage's turn, if the stage before asks for it (`Context.begin_readers`); `run` finds it in
         `Context.begun`, whether it was given all pieces or none. Stage before and reader agree on what pieces are, as
@@ -328,11 +348,11 @@ class Stage(ABC):
         return None
 
     def estimate(self, palette: Palette, *inputs: Any, **ports: Any) -> Size | None:
-        """Tell how large the result and the work will be, in milliseconds; None if that is unknown.
+        """Estimate the size of the result and of the work, within milliseconds; None if that is unknown.
 
         Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. What
         raises `LookupError`, because the geometry of an input is unknown, or an error of this program, is unknown as
-        well; other errors are warned of, as mistakes.
+        well; other errors trigger a warning, as mistakes.
         """
         return None
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 os.environ["SPPM_CACHE"] = (
     "off"  # tests neither use nor fill the cache of whoever runs them, but for those of the cache
 )
+
+os.environ["SPPM_TRUST"] = tempfile.gettempdir()  # where tests write plugins of their own
 
 os.environ["SPPM_COMPILE_AHEAD"] = "off"  # all processors are busy with tests already
 

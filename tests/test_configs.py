@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from benchmarks import digests, kernel_list
-from sppm_pipeline.engine.cli.kernels import kernels_of, listed_kernels
+from sppm_pipeline.engine.plan.kernels import kernels_of, listed_kernels
 from sppm_pipeline.features.files.formats.detect import decode_mesh
 from sppm_pipeline.method.part import primitive_meshes
 from sppm_pipeline.services.formats import ply

@@ -22,10 +22,12 @@ CLAIM = ".claim"
 """Name of the file by which a folder is claimed where the file system has no ``flock``, as some of clusters."""
 
 HEARTBEAT = 30.0
-"""Seconds between two signs of life in a claim file; a choice."""
+"""Seconds between two heartbeats in a claim file. Heuristic: half of it means twice the writes on a shared file system,
+twice of it that the claim of a dead process lasts twice as long."""
 
 SILENCE = 3
-"""Heartbeats without a sign of life after which nobody waits for a claim any longer; a choice."""
+"""Missed heartbeats after which a claim is taken for dead. Heuristic: a network file system may delay some; with twice
+as many, a run waits twice as long for one that was killed."""
 
 POLL = 0.05
 """Seconds between two looks at a claim that is waited for."""
@@ -36,8 +38,9 @@ _MISSING = (errno.ENOTSUP, errno.ENOLCK, errno.EBADF, errno.ENOSYS)
 class FolderLock:
     """An exclusive lock on a folder or file that exists.
 
-    The system gives a ``flock`` back when its process ends. A claim file stays when its process is killed: nobody
-    takes it away but a person, because no process can tell of another machine's whether it is gone. A *file* is not
+    The system gives a ``flock`` back when its process ends. A claim file stays when its process is killed: only a
+    person
+    removes it, because no process can know whether one of another machine has ended. A *file* is not
     claimed: what it holds, an account, may then be off.
 
     Attributes
@@ -53,7 +56,7 @@ class FolderLock:
         self.holder = ""
 
     def acquire(self, *, wait: bool = False) -> bool:
-        """Take the lock; False if somebody else holds it.
+        """Take the lock; False if another process holds it.
 
         Parameters
         ----------
@@ -132,7 +135,7 @@ class _Claim:
             with os.fdopen(descriptor, "w", encoding="utf-8") as file:
                 file.write(f"process {os.getpid()} on {socket.gethostname()} since {_moment(None)}\n")
                 self._own = os.fstat(file.fileno())
-        except BaseException:  # a full disk; an empty claim would be nobody's
+        except BaseException:  # a full disk; an empty claim would have no owner
             with contextlib.suppress(OSError):
                 path.unlink()
             raise
@@ -144,7 +147,7 @@ class _Claim:
         """Let others use the folder."""
         self._over.set()
         with contextlib.suppress(OSError):
-            if os.path.samestat(self._own, os.stat(self._path)):  # not that of somebody who took this one for dead
+            if os.path.samestat(self._own, os.stat(self._path)):  # not that of a process that took this one for dead
                 self._path.unlink()
 
     def _live(self) -> None:
@@ -162,7 +165,7 @@ def _heard(claim: Path) -> int | None:
 
 
 def _told(claim: Path) -> str:
-    """What a claim file says, and when its process has last been heard of; empty if it has just gone."""
+    """Content of a claim file and the time of its last heartbeat; empty if it has just gone."""
     try:
         text = claim.read_text("utf-8", "replace")[:200].strip()
         heard = claim.stat().st_mtime

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.artifact import Artifact
 
+CELL_UNIT = "cell"
+"""Unit of lengths in cell sizes; a number without a unit is in cell sizes, too, where an option says so."""
+
 UNITS_IN_MM = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 _LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*")
@@ -16,13 +19,13 @@ _LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z
 
 @dataclass(frozen=True)
 class Length:
-    """A length as written: a value and, if one was given, a physical unit.
+    """A length as written: a value and, if one was given, a unit.
 
     Attributes
     ----------
     value : float
     unit : str or None
-        A key of `UNITS_IN_MM`; None means the documented unit of the option.
+        A key of `UNITS_IN_MM`, or `CELL_UNIT`; None means the documented unit of the option.
     """
 
     value: float
@@ -32,12 +35,38 @@ class Length:
         return f"{self.value:g} {self.unit}" if self.unit else f"{self.value:g}"
 
     def mm(self) -> float:
-        """The length in millimeters; a bare number is millimeters."""
+        """The length in millimeters; a bare number is millimeters.
+
+        Raises
+        ------
+        ConfigError
+            If it is in cell sizes.
+        """
+        if self.unit == CELL_UNIT:
+            raise ConfigError(f"the length {self} is in cell sizes, where a physical length is needed")
         return self.value * (UNITS_IN_MM[self.unit] if self.unit else 1.0)
+
+    def in_cells(self, edge_mm: float | None) -> float:
+        """The length in cell sizes; a bare number is in cell sizes.
+
+        Raises
+        ------
+        ConfigError
+            If the length has a physical unit and the cell has no physical size.
+        """
+        if self.unit is None or self.unit == CELL_UNIT:
+            return self.value
+        if edge_mm is None:
+            raise ConfigError(
+                f"the length {self} has a physical unit, but the cell has no physical size",
+                hint="give the size of the cell on the first stage that makes it, for example `edge: 7.5 mm`, or write "
+                "the length as a fraction of the cell size, for example `0.11 cell`",
+            )
+        return self.mm() / edge_mm
 
 
 def parse_length(value: object) -> Length:
-    """Read ``7.5``, ``"7.5 mm"`` or ``"50 um"``.
+    """Read ``7.5``, ``"7.5 mm"``, ``"50 um"`` or ``"0.11 cell"``.
 
     Raises
     ------
@@ -55,12 +84,16 @@ def parse_length(value: object) -> Length:
         if not match:
             raise ValueError(f"expected a length such as 0.16 or '7.5 mm', got {value!r}")
         number, unit = float(match[1]), match[2] or None
-        if unit is not None and unit not in UNITS_IN_MM:
-            raise ValueError(f"unknown unit {unit!r} in {value!r}; known: {', '.join(UNITS_IN_MM)}")
+        if unit is not None and unit != CELL_UNIT and unit not in UNITS_IN_MM:
+            raise ValueError(f"unknown unit {unit!r} in {value!r}; known: {', '.join((*UNITS_IN_MM, CELL_UNIT))}")
     if not math.isfinite(number):
         raise ValueError(f"a length must be finite, got {value!r}")
     return Length(number, unit)
 
+
+LARGEST_BARE = 0.5
+"""Cell sizes up to which `Cell.fraction` takes a number without a unit in a physical cell: no pore, tunnel or gap of a
+cell is as large, so a larger number is one in millimeters."""
 
 Pixel = Length | tuple[Length, Length]
 """Pixel pitch as written: one length for square pixels, else those along x and y."""
@@ -92,15 +125,15 @@ def voxel_mm(pixel: Pixel, layer: Length | None) -> tuple[float, float, float]:
 class Cell(Artifact):
     """The periodic cube in which pores are designed.
 
-    Inside the program a cell is the unit cube; `edge` says how long that cube's edge is in the lengths that the
-    user writes: 1 for cell sizes, 2 for the paper's [-1, 1]^3, 7.5 with unit mm for a physical cell.
+    Inside the program a cell is the unit cube. Lengths without a unit are fractions of its edge.
 
     Attributes
     ----------
     edge : float
-        Edge length in the user's lengths.
+        Edge length: in millimeters of a physical cell, else in the unit of length of the size parameters omega and mu
+        (1, or 2 for the paper's cell [-1, 1]^3).
     physical : bool
-        Whether the user's lengths are millimeters.
+        Whether the cell has a physical size.
     """
 
     edge: float = 1.0
@@ -112,17 +145,21 @@ class Cell(Artifact):
         Raises
         ------
         ConfigError
-            If the length has a physical unit and the cell has no physical size.
+            If the length has a physical unit and the cell has no physical size; or if it has no unit and is likely to
+            be meant in the unit of `edge`.
         """
-        if length.unit is None:
-            return length.value / self.edge
-        if not self.physical:
+        if length.unit is None and self.physical and length.value > LARGEST_BARE:
             raise ConfigError(
-                f"the length {length} has a physical unit, but the cell has no physical size",
-                hint="give the first sampling stage the size of the cell, for example `edge: 7.5 mm`, "
-                "or write the length without a unit, as a fraction of the cell size",
+                f"the length {length} has no unit and counts in cell sizes, of {self.edge:g} mm each",
+                hint=f"write `{length} mm`, or `{length} cell` if it is {length} cell sizes",
             )
-        return length.mm() / self.edge
+        if length.unit is None and length.value and not self.physical and self.edge != 1:
+            raise ConfigError(
+                f"the length {length} has no unit, and `edge: {self.edge:g}` is the unit of `omega` and `mu` only",
+                hint=f"write `{length.value / self.edge:g} cell` if it is meant in the unit of `edge`, `{length} cell` "
+                "if it is a fraction of the cell size",
+            )
+        return length.in_cells(self.edge if self.physical else None)
 
     def summary(self) -> dict[str, object]:
         """Edge and its unit."""

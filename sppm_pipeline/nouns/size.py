@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
+from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.palette import Palette
 
 TRIANGLES = 2.6
@@ -28,7 +29,7 @@ class CellDesign:
     Attributes
     ----------
     edge : float
-        Cell size in the user's lengths.
+        Cell size, mm, or in the unit of length of omega and mu; see `Cell`.
     edge_mm : float or None
         Physical cell size.
     interior_pores, face_pores : float
@@ -53,6 +54,11 @@ class CellDesign:
     def pores(self) -> float:
         """Pores of a cell."""
         return self.interior_pores + self.face_pores
+
+    @property
+    def cell(self) -> Cell:
+        """The cell, which turns the user's lengths into cell sizes."""
+        return Cell(self.edge, self.edge_mm is not None)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.engine.plan.session import RunRequest, checked, open_session
+from sppm_pipeline.engine.plan.checking import checked
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigError, ConfigErrors, WiringError
 
 PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1]}\n"

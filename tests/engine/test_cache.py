@@ -57,7 +57,7 @@ class Lab:
         self.monitor = Telling()
         monkeypatch.setenv("RAN", str(self.log))
         # as if all stages but one took long, so that what is kept does not depend on how busy the machine is
-        monkeypatch.setattr(session, "SHARE", 1000.0)
+        monkeypatch.setattr(session, "MAX_OVERHEAD", 1000.0)
         keep = session.CacheSession.keep
 
         def timed(self, step, *args, seconds, **how):
@@ -527,7 +527,7 @@ def sweep(lab, text=SWEEP, **how):
 
 @pytest.mark.parametrize("share", [0.0, 1000.0], ids=["nothing kept", "everything kept"])
 def test_finished_rows_are_taken_as_they_are(lab, share, monkeypatch):
-    monkeypatch.setattr(session, "SHARE", share)
+    monkeypatch.setattr(session, "MAX_OVERHEAD", share)
     before = sweep(lab)
     assert lab.ran == ["sample.draw", "field.shift", "write.numbers"] * 3
     assert bool(contents(Store(lab.cache))) == bool(share)
@@ -546,7 +546,7 @@ def test_finished_rows_are_taken_as_they_are(lab, share, monkeypatch):
 
 
 def test_a_row_of_other_options_is_not_taken(lab, monkeypatch):
-    monkeypatch.setattr(session, "SHARE", 0.0)
+    monkeypatch.setattr(session, "MAX_OVERHEAD", 0.0)
     sweep(lab)
     sweep(lab, p=["by=3.0"])
     assert len(lab.ran) == 9
@@ -555,7 +555,7 @@ def test_a_row_of_other_options_is_not_taken(lab, monkeypatch):
 
 
 def test_what_costs_too_much_to_keep_is_not_kept(lab, monkeypatch):
-    monkeypatch.setattr(session, "SHARE", 0.0)
+    monkeypatch.setattr(session, "MAX_OVERHEAD", 0.0)
     lab.run()
     assert contents(Store(lab.cache)) == []
     assert lab.run()["status"] == "done"

@@ -5,7 +5,8 @@ import re
 
 import pytest
 
-from sppm_pipeline.engine.plan.session import RunRequest, checked, open_session
+from sppm_pipeline.engine.plan.checking import checked
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigError
 
 
@@ -157,3 +158,28 @@ def test_only_recipes_that_run_are_looked_at(check):
     check(f"recipes:\n  {inner}\npipeline: [{part}]")
     with pytest.raises(ConfigError, match=r"no file or folder '.*no\.stl'"):
         check(f"recipes:\n  {inner}\npipeline: [{part}, {{stage: tune.retry, recipe: b}}]")
+
+
+SHEET = """
+params: {size: 2}
+sweep: {size: [2, 3]}
+pipeline:
+  - {stage: read.primitive, id: part, shape: torus, size: [3, 3, '${size}']}
+  - {stage: slice.mesh, pixel: 0.5 mm}
+  - {stage: write.png, path: layers, sheet: 4}
+after:
+  - {stage: write.sheet, picture: %s}
+"""
+
+
+def test_a_picture_that_no_run_writes_is_found_before_the_sweep(check):
+    check(SHEET % "layers-overview.png")
+    with pytest.raises(ConfigError, match=r"config.yaml:10:\d+.*no run writes a file 'picture.png'"):
+        check(SHEET % "picture.png")
+
+
+def test_files_of_plugins_may_have_any_name(check, tmp_path):
+    plugin = tmp_path / "further.py"
+    plugin.write_text(FURTHER % "", encoding="utf-8")
+    text = NUMBERS.replace("homogenize.voxel", "homogenize.further") % ("", "elastic.damping", "size")
+    check(text + "  - {stage: write.sheet, picture: any.png}\n", plugins=(str(plugin),))

@@ -194,18 +194,18 @@ def test_ranges_of_sweeps(work, to):
 
 
 def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
-    from sppm_pipeline.engine.plan import session
+    from sppm_pipeline.engine.plan import checking
 
     planned = []
-    original = session.planned
+    original = checking.plan
 
     def noting(opened, row=None):
         planned.append(None if row is None else row["a"].node.value)
         return original(opened, row)
 
-    monkeypatch.setattr(session, "planned", noting)
+    monkeypatch.setattr(checking, "plan", noting)
     text = "params: {a: 1}\nsweep: {a: {from: 1, to: 50000}}\npipeline: [{stage: read.number, value: '${a}'}]\n"
-    session.checked(work.session(text))
+    checking.checked(work.session(text))
     assert planned.pop(0) is None  # the run without a row
-    assert len(planned) <= session.MAX_CHECKED + 1
+    assert len(planned) <= checking.MAX_CHECKED + 1
     assert (planned[0], planned[-1]) == (1, 50000)

@@ -57,8 +57,8 @@ def test_the_record_is_that_of_a_run_into_a_directory(work):
 
 @pytest.mark.parametrize("share", [1000.0, 0.0])
 def test_results_from_the_cache_are_there_as_well(work, monkeypatch, share):
-    monkeypatch.setattr(cache_session, "SHARE", share)
-    monkeypatch.setattr(cache_session, "WORTH", 0.0)
+    monkeypatch.setattr(cache_session, "MAX_OVERHEAD", share)
+    monkeypatch.setattr(cache_session, "MIN_SECONDS", 0.0)
     plan = work.plan(TEXT)
     fresh = run_in_memory(plan, threads=1, store=Store(work.folder / "cache"))
     again = run_in_memory(plan, threads=1, store=Store(work.folder / "cache"))

@@ -75,7 +75,7 @@ def test_a_stage_from_the_cache_is_marked(work, observer, monkeypatch):
     from sppm_pipeline.engine.cache import session
     from sppm_pipeline.engine.cache.store import Store
 
-    monkeypatch.setattr(session, "SHARE", 1000.0)
+    monkeypatch.setattr(session, "MAX_OVERHEAD", 1000.0)
     plan = work.plan("pipeline: [sample.random, field.scale]", plugins=[observer])
     for to in ("one", "two"):
         run_plan(plan, work.folder / to, threads=1, store=Store(work.folder / "cache"))

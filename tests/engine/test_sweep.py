@@ -16,6 +16,7 @@ import pytest
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan import session as sessions
+from sppm_pipeline.engine.plan.checking import checked
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor, serve
@@ -43,6 +44,7 @@ after:
 
 def run(work, text=TEXT, *, to="out", workers=1, executor=None, **how):
     session = work.session(text, **how)
+    checked(session, folder=None)
     return run_sweep(
         session, session.plan(), work.folder / to, workers=workers, executor=executor, threads=2, monitor=Monitor()
     )

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.nouns.length import UNITS_IN_MM, Cell, Length, parse_length, voxel_mm
+from sppm_pipeline.nouns.length import CELL_UNIT, UNITS_IN_MM, Cell, Length, parse_length, voxel_mm
 
 
 @pytest.mark.parametrize(
@@ -22,18 +22,35 @@ def test_others_are_refused(text):
         parse_length(text)
 
 
-@given(st.floats(1e-6, 1e6), st.sampled_from([None, *UNITS_IN_MM]))
+@given(st.floats(1e-6, 1e6), st.sampled_from([None, CELL_UNIT, *UNITS_IN_MM]))
 def test_what_is_printed_reads_the_same(value, unit):
     length = Length(float(f"{value:g}"), unit)
     assert parse_length(str(length)) == length
 
 
 def test_fractions():
-    assert Cell(2.0).fraction(Length(0.5)) == 0.25
     assert Cell(7.5, True).fraction(Length(0.75, "cm")) == 1.0
-    assert Cell(7.5, True).fraction(Length(7.5)) == 1.0
     with pytest.raises(ConfigError, match="physical"):
         Cell(2.0).fraction(Length(1, "mm"))
+    with pytest.raises(ConfigError, match="in cell sizes"):
+        Length(0.5, CELL_UNIT).mm()
+
+
+@pytest.mark.parametrize("cell", [Cell(), Cell(6.0, True), Cell(0.5, True)])
+def test_lengths_without_a_unit_are_in_cell_sizes(cell):
+    assert cell.fraction(Length(0.11)) == cell.fraction(Length(0.11, CELL_UNIT)) == 0.11
+    assert cell.fraction(Length(0.0)) == 0.0
+
+
+def test_lengths_that_may_be_meant_in_the_unit_of_the_edge_need_theirs():
+    with pytest.raises(ConfigError, match=r"0\.8 has no unit and counts in cell sizes, of 7\.5 mm") as caught:
+        Cell(7.5, True).fraction(Length(0.8))
+    assert "`0.8 mm`" in caught.value.hint
+    with pytest.raises(ConfigError, match="`edge: 2`") as caught:
+        Cell(2.0).fraction(Length(0.3))
+    assert "`0.15 cell`" in caught.value.hint
+    assert Cell(7.5, True).fraction(Length(0.8, CELL_UNIT)) == 0.8
+    assert Cell(2.0).fraction(Length(0.3, CELL_UNIT)) == 0.3
 
 
 def test_units_are_those_of_the_international_system():

@@ -18,15 +18,9 @@ from sppm_pipeline.engine.config.configuration import FORMAT
 from sppm_pipeline.engine.config.document import parse_yaml, plain, read_yaml
 from sppm_pipeline.engine.config.options import options_of, plain_option
 from sppm_pipeline.engine.config.parameters import Overrides
+from sppm_pipeline.engine.plan.checking import checked
 from sppm_pipeline.engine.plan.plugins import allowed_plugins
-from sppm_pipeline.engine.plan.session import (
-    RunRequest,
-    Session,
-    checked,
-    find_configuration,
-    open_session,
-    refuse_unfit,
-)
+from sppm_pipeline.engine.plan.session import RunRequest, Session, find_configuration, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.runner import available_threads
@@ -85,7 +79,9 @@ class Pipeline:
                 for key, group in recipes.items()
             }
         document["pipeline"] = [entry_of(stage) for stage in stages]
-        self._request = RunRequest(name, document=document, folder=os.getcwd(), allowed=allowed_plugins())
+        allowed = allowed_plugins()
+        # a caller who names files in Python runs code anyway
+        self._request = RunRequest(name, document=document, folder=os.getcwd(), allowed=allowed, trusted=True)
 
     @classmethod
     def from_yaml(cls, source: str | Path) -> Pipeline:
@@ -173,8 +169,10 @@ class Pipeline:
         ------
         ConfigError
             All that is wrong, with its place.
+        ResourceError
+            If the run can't fit into memory or onto the disk.
         """
-        return checked(self._session)[0].warnings
+        return checked(self._session).plan.warnings
 
     def to_yaml(self, *, defaults: bool = False) -> str:
         """The pipeline as YAML, parameters and options put in; read again it gives the same results.
@@ -186,7 +184,7 @@ class Pipeline:
         """
         from ruamel.yaml import YAML
 
-        plan = checked(self._session, inputs=False)[0]
+        plan = checked(self._session, inputs=False, folder=None).plan
         document = dict(plan.document)
         if document["folder"] == os.getcwd():
             del document["folder"]
@@ -233,8 +231,7 @@ class Pipeline:
         SppmError
             What stopped the run; in a sweep, what is wrong before the first row runs.
         """
-        plan, rows = checked(self._session, until)
-        refuse_unfit(self._session, plan, rows, Path(output or "."), workers=jobs, until=until)
+        plan, rows, _ = checked(self._session, until, folder=Path(output or "."), jobs=jobs)
         run = Run(self._session, plan, until=until, threads=threads or available_threads(), cache=_cache_folder(cache))
         if rows:
             run._run_rows(rows, jobs)
@@ -307,7 +304,7 @@ def load(path: str | Path, *, cache: bool | str | Path = True) -> Run:
     except (OSError, ValueError) as error:
         raise InputError(f"{str(path)!r} holds no run", hint=f"a run directory has a file {RECORD}") from error
     pipeline = Pipeline._of(RunRequest(str(file), allowed=allowed_plugins()))
-    plan, rows = checked(pipeline._session)
+    plan, rows, _ = checked(pipeline._session, folder=None)
     run = Run(
         pipeline._session, plan, until=record.get("until"), threads=available_threads(), cache=_cache_folder(cache)
     )

@@ -25,7 +25,7 @@ from sppm_pipeline.nouns.viewers import viewer_of
 
 
 class Run:
-    """What came of a pipeline: artifacts by stage id, numbers, and the record.
+    """Results of a pipeline: artifacts by stage id, numbers, and the record.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Run:
         self._memory: MemoryRun | None = None
 
     def __getitem__(self, stage: str) -> Any:
-        """What a stage made; None for one that makes nothing.
+        """The result of a stage; None for one that makes nothing.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""What finished stages made, kept between runs under a key of everything that it depends on."""
+"""Results of stages, kept between runs under a key of everything that they depend on."""

@@ -1,4 +1,4 @@
-"""Where a cache lies, what is in it, whether it is sound, and how it stays small."""
+"""Location, contents, soundness and size limit of a cache."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def damaged_entries(store: Store) -> list[tuple[str, str]]:
 
 
 def _add_usage(root: Path, written: int) -> int | None:
-    """The account after adding to it; None if nobody has counted yet."""
+    """The account after adding to it; None if it has not been counted yet."""
     before = _change_usage(root, lambda old: None if old is None else old + written)
     return None if before is None else before + written
 

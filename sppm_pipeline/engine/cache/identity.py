@@ -1,4 +1,4 @@
-"""What a result depends on besides its options: the code that makes it, and the libraries below that code."""
+"""Dependencies of a result besides its options: the code that makes it, and the libraries below that code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from sppm_pipeline.engine.plan.installed import distributions, metadata_of, norm
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.stage import Stage
 
-_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
+_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "pillow")
+"""Libraries that count for every stage; of other requirements only those count that a stage names as
+`Stage.libraries`."""
+
 _PACKAGE = "sppm_pipeline"
 _WITHOUT_RESULTS = ("engine/cli", "features/browser/report", "features/browser/studio", "testing")
 """Folders that no result comes from."""
@@ -37,7 +40,7 @@ def program_digest() -> str:
 
 
 def code_of(cls: type[Stage], owner: Plugin) -> dict[str, Any]:
-    """Who supplies a stage, in which version, and the digest of the source of all classes that it is made of."""
+    """Supplier of a stage, in which version, and the digest of the source of all classes that it is made of."""
     modules = {c.__module__ for c in cls.__mro__ if c is not object}
     sources = {_source_of(module) for module in modules}
     digest = hashlib.sha256("\n".join(sorted(sources - {""})).encode()).hexdigest()
@@ -88,7 +91,7 @@ def _file_digest(path: Path) -> str:
 
 
 @functools.cache
-def environment(distributions: tuple[str, ...] = ()) -> dict[str, str]:
+def environment(libraries: tuple[str, ...] = (), plugins: tuple[str, ...] = ()) -> dict[str, str]:
     """Versions of Python and the libraries in use, and the kind of processor.
 
     Threads do not count, as results do not depend on them. The processor does: compiled kernels and BLAS add in an
@@ -96,12 +99,12 @@ def environment(distributions: tuple[str, ...] = ()) -> dict[str, str]:
 
     Parameters
     ----------
-    distributions : tuple of str
-        Plugins whose requirements count as well.
+    libraries : tuple of str
+        Distributions that count besides those that every stage uses.
+    plugins : tuple of str
+        Distributions whose requirements count as well.
     """
-    names = set(_LIBRARIES)
-    for distribution in ("sppm-pipeline", *distributions):
-        names |= set(requirements_of(distribution))
+    names = {*_LIBRARIES, *libraries}.union(*map(requirements_of, plugins))
     found = {"python": platform.python_version(), "processor": _processor()}
     found |= {name: installed_version(name) or "not installed" for name in sorted(names)}
     return found | {name: os.environ[name] for name in _SETTINGS if name in os.environ}
@@ -122,7 +125,7 @@ def _processor() -> str:
 
 
 def arithmetic() -> dict[str, str | None]:
-    """What the last digits of numbers depend on besides versions, for the run record.
+    """Dependencies of the last digits of numbers besides versions, for the run record.
 
     Returns
     -------

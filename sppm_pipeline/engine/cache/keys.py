@@ -12,7 +12,6 @@ from typing import Any
 from sppm_pipeline.engine.cache.identity import code_of, environment
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.planning import Plan, step_options
-from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.wiring import Step
 
 KEY_FORMAT = 1
@@ -39,12 +38,12 @@ class InputFiles:
         return self._digests[name][1]
 
     def unchanged(self) -> bool:
-        """Whether all files are still what they were when they were read."""
+        """True if all files are still what they were when they were read."""
         return all(_state(Path(name)) == state for name, (state, _) in self._digests.items())
 
 
 def _state(path: Path) -> tuple[Any, ...] | None:
-    """What changes when somebody writes to a file or into a folder."""
+    """State of a file or folder that changes with each write."""
     try:
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
         stats = [(str(file), file.stat()) for file in files]
@@ -60,7 +59,7 @@ def ingredients_of(
     inputs: Mapping[str, str | None],
     files: InputFiles,
 ) -> dict[str, Any] | None:
-    """All that the result of a step depends on but the seed; None if that can't be told.
+    """All dependencies of the result of a step but the seed; None if they are unknown.
 
     Parameters
     ----------
@@ -72,28 +71,34 @@ def ingredients_of(
         Keys of the results that it is handed; None for open ports.
     files : InputFiles
     """
-    owners: list[Plugin] = []
-    described = _described(step, recipes, files, owners)
+    used: list[Step] = []
+    described = _described(step, recipes, files, used)
     if described is None:
         return None
-    distributions = tuple(sorted({owner.distribution for owner in owners if owner.distribution}))
     return {
         "format": KEY_FORMAT,
         **described,
         "inputs": dict(inputs),
         "path": list(path),
-        "environment": environment(distributions),
+        "environment": _environment(used),
     }
 
 
+def _environment(used: Sequence[Step]) -> dict[str, str]:
+    """Dependencies of the results of steps besides this program."""
+    libraries = {name for step in used for name in step.stage.libraries}
+    plugins = {step.owner.distribution for step in used if step.owner.distribution}
+    return environment(tuple(sorted(libraries)), tuple(sorted(plugins)))
+
+
 def _described(
-    step: Step, recipes: Mapping[str, Sequence[Step]], files: InputFiles, owners: list[Plugin]
+    step: Step, recipes: Mapping[str, Sequence[Step]], files: InputFiles, used: list[Step]
 ) -> dict[str, Any] | None:
-    """Stage, version, code, options, input files and recipes."""
+    """Stage, version, code, options, input files and recipes; the step and those of its recipes are added to `used`."""
     stage = step.stage
     if not stage.cacheable:
         return None
-    owners.append(step.owner)
+    used.append(step)
     options = step_options(step)
     contents: dict[str, Any] = {}
     for name in options:
@@ -110,7 +115,7 @@ def _described(
     for port, recipe in step.recipes.items():
         inner = []
         for sub in recipes[recipe]:
-            about = _described(sub, recipes, files, owners)
+            about = _described(sub, recipes, files, used)
             if about is None:
                 return None
             inner.append({"id": sub.id, **about, "inputs": dict(sub.inputs)})
@@ -129,18 +134,17 @@ def _described(
 
 
 def recipe_key(name: str, recipes: Mapping[str, Sequence[Step]], path: tuple[str, ...], seed: int) -> str | None:
-    """The key of what a recipe gives, of which `path` is that of its random numbers; None if that can't be told."""
-    owners: list[Plugin] = []
+    """The key of what a recipe gives, of which `path` is that of its random numbers; None if it is unknown."""
+    used: list[Step] = []
     inner = []
     for step in recipes[name]:
-        about = _described(step, recipes, InputFiles(), owners)
+        about = _described(step, recipes, InputFiles(), used)
         if about is None:
             return None
         inner.append({"id": step.id, **about, "inputs": dict(step.inputs)})
-    distributions = tuple(sorted({owner.distribution for owner in owners if owner.distribution}))
     return key_of({
         "format": KEY_FORMAT, "recipe": inner, "path": list(path), "seed": seed,
-        "environment": environment(distributions),
+        "environment": _environment(used),
     })  # fmt: skip
 
 
@@ -172,7 +176,7 @@ def key_of(ingredients: Mapping[str, Any]) -> str:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
-    """What has changed between two lists of ingredients, in words."""
+    """Changes between two lists of ingredients, in words."""
     if not now:
         return
     if before.get("stage") != now.get("stage"):

@@ -25,19 +25,20 @@ STORE_RATE = 4e8
 LOAD_RATE = 8e8
 """Bytes a second that are read and hashed, at least."""
 
-SHARE = 0.04
-"""Share of a run's time that may be spent on keeping results."""
+MAX_OVERHEAD = 0.04
+"""Share of a run's time that may be spent on keeping results: with twice as much, more results of fast stages are kept,
+and a run takes 4 % longer."""
 
-WORTH = 0.02
-"""Seconds; what takes less is made again rather than kept."""
+MIN_SECONDS = 0.02
+"""Seconds from which a result is kept: to load one takes about 5 ms. Not sensitive: only speed."""
 
-FILE = 3e-4
+SECONDS_PER_FILE = 3e-4
 """Seconds that one more file costs."""
 
-FACTS = 2e-3
+SECONDS_OF_FACTS = 2e-3
 """Seconds that it costs to keep what the record says of a stage."""
 
-DURABLE = 1.0
+MIN_DURABLE_SECONDS = 1.0
 """Seconds; what took longer is kept so that it survives a power cut."""
 
 
@@ -87,11 +88,11 @@ class CacheSession:
         self._keys[id_] = f"content {digest}"
 
     def entry(self, id_: str) -> Entry | None:
-        """What is kept of a step that `look_up` found or `keep` kept."""
+        """The entry of a step that `look_up` found or `keep` kept."""
         return self._entries.get(id_)
 
     def ingredients(self, id_: str) -> dict[str, Any] | None:
-        """What the key of a step that was looked up is made of, but for the seed; None if that can't be told."""
+        """Ingredients of the key of a step that was looked up, without the seed; None if they are unknown."""
         return self._described.get(id_)
 
     def look_up(self, step: Step, path: tuple[str, ...]) -> Entry | None:
@@ -113,7 +114,7 @@ class CacheSession:
         sources = {port: self._keys.get(source) if source else None for port, source in step.inputs.items()}
         ingredients = self._described[step.id] = ingredients_of(step, self._recipes, path, sources, self._files)
         if ingredients is None or any(source and sources[port] is None for port, source in step.inputs.items()):
-            return None  # it can't be told what the result depends on, or it is made of something that has no key
+            return None  # the dependencies of the result are unknown, or it is made of something that has no key
         self._ingredients[step.id] = ingredients
         for key in (key_of(ingredients), key_of(ingredients | {"seed": self._seed})):
             try:
@@ -126,7 +127,7 @@ class CacheSession:
         return None
 
     def damaged(self, id_: str, error: Exception) -> None:
-        """Tell of a damaged entry and take it away; the stage is run again."""
+        """Report a damaged entry and remove it; the stage is run again."""
         self._warn(id_, f"a kept result is damaged and is made again ({error})")
         entry = self._entries.pop(id_, None)
         if entry is not None:
@@ -215,7 +216,7 @@ class CacheSession:
                 "same_as": next((port for port, given in inputs.items() if made is not None and given is made), None),
             }
             value = None if made is None or manifest["same_as"] else made
-            worth = seconds >= WORTH
+            worth = seconds >= MIN_SECONDS
             if value is not None and not (worth and self._affordable(_bytes_of(value), 2, seconds)):
                 value = None
             size, count = _size_of(outputs) if worth else (0, 0)
@@ -224,7 +225,7 @@ class CacheSession:
             if value is None and not outputs:
                 self._facts.append((key, manifest))
                 return
-            self.store.put(key, manifest, value=value, outputs=outputs, durable=seconds > DURABLE)
+            self.store.put(key, manifest, value=value, outputs=outputs, durable=seconds > MIN_DURABLE_SECONDS)
             entry = self.store.find(key, touch=False)
             if entry is not None:
                 self._entries[step.id] = entry
@@ -240,7 +241,7 @@ class CacheSession:
         A run of a few milliseconds, of which a sweep may have thousands, would otherwise take longer for being kept.
         """
         self._facts.sort(key=lambda waiting: waiting[1]["seconds"])
-        while self._facts and SHARE * (time.perf_counter() - self._started) - self._spent >= FACTS:
+        while self._facts and MAX_OVERHEAD * (time.perf_counter() - self._started) - self._spent >= SECONDS_OF_FACTS:
             started = time.perf_counter()
             try:
                 self.store.put(*self._facts.pop())
@@ -249,7 +250,7 @@ class CacheSession:
             self._spent += time.perf_counter() - started
 
     def _give_up(self, error: Exception) -> None:
-        """Tell, once, that nothing can be kept."""
+        """Report, once, that nothing can be kept."""
         self._broken = True
         self._facts.clear()
         detail = error.strerror if isinstance(error, OSError) else error
@@ -264,12 +265,12 @@ class CacheSession:
             self.keep(step, entry.facts, made, inputs, outputs=(), seconds=seconds, drew=entry.manifest["random"])
 
     def _affordable(self, size: int | None, files: int, seconds: float) -> bool:
-        """Whether storing fits into the share of the run's time, and loading would save time."""
+        """True if storing fits into the share of the run's time, and loading would save time."""
         if size is None or size > self.store.cap / 4:
             return False
-        cost = size / STORE_RATE + files * FILE
-        left = SHARE * (time.perf_counter() - self._started) - self._spent
-        return cost <= max(left, SHARE * seconds) and size / LOAD_RATE + files * FILE <= seconds / 2
+        cost = size / STORE_RATE + files * SECONDS_PER_FILE
+        left = MAX_OVERHEAD * (time.perf_counter() - self._started) - self._spent
+        return cost <= max(left, MAX_OVERHEAD * seconds) and size / LOAD_RATE + files * SECONDS_PER_FILE <= seconds / 2
 
     def close(self) -> None:
         """Remember what the keys were made of, and keep the cache within its cap."""
@@ -288,7 +289,7 @@ class CacheSession:
 
 
 def recent_name(about: str) -> str:
-    """Where the ingredients of a configuration's last run are remembered, in the cache."""
+    """Name of the file of the cache with the ingredients of a configuration's last run."""
     return f"recent/{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
 
 
@@ -300,7 +301,7 @@ def _bytes_of(value: Any) -> int | None:
 
 
 def _size_of(outputs: Sequence[tuple[str, Path]]) -> tuple[int, int]:
-    """Bytes and number of files; links are not followed, as what they lead to is not ours to keep."""
+    """Bytes and number of files; links are not followed, as their targets do not belong to the run."""
     size = count = 0
     for _, path in outputs:
         for file in path.rglob("*") if path.is_dir() else [path]:
@@ -337,7 +338,7 @@ def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, st
         elif step.id not in before:
             why = "no run of this configuration is known that had it"
         elif again:
-            # the keys of what runs again are not known yet, so that only its own changes can be told
+            # the keys of what runs again are not known yet, so that only its own changes can be listed
             own = [text for text in differences(before[step.id], now or {}) if not text.startswith("its input")]
             why = "; ".join([*own, *(f"{source!r} runs again" for source in dict.fromkeys(again))])
         elif now is None:

@@ -10,7 +10,7 @@
 
 An entry is written elsewhere and renamed into place in one step, its manifest last; one without a sound manifest does
 not exist. Processes share a cache without waiting for each other: of several that make the same entry, the first one
-to be ready puts it there. Whoever finds an entry damaged takes it away.
+to be ready puts it there. A reader that finds an entry damaged removes it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from sppm_pipeline.nouns.storage import DamagedError, StoredFile, load_value, sa
 FORMAT = 1
 
 CAP = 5 * 10**9
-"""Bytes that a cache may take unless told otherwise."""
+"""Default limit of the size of a cache, bytes."""
 
 MANIFEST = "manifest.json"
 OUTPUTS = "outputs.bin"
@@ -59,18 +59,18 @@ class Entry:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What the run record says of the stage."""
+        """Facts of the stage for the run record."""
         facts: Mapping[str, Any] = self.manifest["facts"]
         return facts
 
     @property
     def has_value(self) -> bool:
-        """Whether the artifact that the stage made can be loaded."""
+        """True if the artifact that the stage made can be loaded."""
         return self.manifest.get("value") is not None
 
     @property
     def has_outputs(self) -> bool:
-        """Whether the files that the stage wrote can be written again."""
+        """True if the files that the stage wrote can be written again."""
         return self.manifest.get("outputs") is not None
 
     def files(self) -> dict[str, StoredFile]:
@@ -104,7 +104,7 @@ class Store:
     # --- reading ---
 
     def place(self, key: str) -> Path:
-        """Where the entry of a key lies if there is one."""
+        """Folder of the entry of a key, if there is one."""
         return self.root / "entries" / key[:2] / key
 
     def find(self, key: str, *, touch: bool = True) -> Entry | None:
@@ -249,7 +249,7 @@ class Store:
             self.remove(key)
 
     def remove(self, key: str) -> None:
-        """Take an entry away, in one step, so that nobody sees half of it."""
+        """Take an entry away, in one step, so that no reader sees half of it."""
         with contextlib.suppress(OSError):
             gone = self._staging_folder() / secrets.token_hex(8)
             os.rename(self.place(key), gone)
@@ -278,7 +278,7 @@ class Store:
         return folder
 
     def _staging_folder(self) -> Path:
-        """This object's folder for unfinished entries; its lock tells others that it is in use."""
+        """This object's folder for unfinished entries; its lock shows others that it is in use."""
         if self._staging is None or not self._staging.is_dir():
             if not self.root.is_dir():
                 self.root.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -290,7 +290,7 @@ class Store:
                 try:
                     if lock.acquire():
                         break
-                except FileNotFoundError:  # somebody cleared up in the moment between
+                except FileNotFoundError:  # another process has removed it in between
                     continue
             self._staging, self._lock = staging, lock
         return self._staging

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
+    from sppm_pipeline.engine.plan.rates import History
     from sppm_pipeline.engine.plan.session import RunRequest, Session
+    from sppm_pipeline.engine.plan.trust import UntrustedError
     from sppm_pipeline.hookspecs import Command
 
 
@@ -37,6 +40,11 @@ def add_configuration(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=_seed, metavar="N", help="integer that all random numbers come from")
     add_plugins(parser)
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="run the Python files that the configuration names, now and from now on as long as they stay as they are",
+    )
 
 
 def _seed(text: str) -> int:
@@ -50,7 +58,7 @@ _seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid int
 
 
 def request_from(args: Namespace) -> RunRequest:
-    """What the arguments ask for."""
+    """The request that the arguments describe."""
     from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
@@ -65,16 +73,50 @@ def request_from(args: Namespace) -> RunRequest:
 
 
 def open_from(args: Namespace) -> Session:
-    """Read the configuration and load the plugins."""
+    """Read the configuration and load the plugins; what has not run for this user before is asked for."""
     from sppm_pipeline.engine.plan.session import open_session
+    from sppm_pipeline.engine.plan.trust import UntrustedError, trust
 
-    session = open_session(request_from(args))
+    request = request_from(args)
+    try:
+        session = open_session(request)
+    except UntrustedError as error:
+        if not (getattr(args, "trust", False) or _agreed(error)):
+            raise
+        try:
+            trust(error.files)
+        except OSError as unkept:
+            print(f"sppm: warning: trust in plugins can't be remembered: {unkept}", file=sys.stderr)
+        session = open_session(replace(request, trusted=True))
     warn_of_failed_plugins(session.plugins)
     return session
 
 
+def _agreed(error: UntrustedError) -> bool:
+    """Ask the user, if there is a terminal."""
+    if not (sys.stdin and sys.stdin.isatty() and sys.stderr and sys.stderr.isatty()):
+        return False
+    print(f"sppm: {error.message}", file=sys.stderr)
+    print("It runs with all your rights. Run it? [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def run_folder(args: Namespace, session: Session) -> Path:
+    """The run directory that is asked for, else ``runs/<name>``."""
+    return getattr(args, "output", None) or Path("runs") / session.configuration.name
+
+
+def history_of_machine(args: Namespace) -> History:
+    """Time and memory of runs with the same cache."""
+    from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
+    from sppm_pipeline.engine.plan.rates import history_of
+
+    folder = cache_folder(getattr(args, "cache", None))
+    return history_of(open_store(folder) if folder is not None and folder.is_dir() else None)
+
+
 def add_cache(parser: ArgumentParser) -> None:
-    """Where results are kept between runs."""
+    """Arguments for the folder in which results are kept between runs."""
     parser.add_argument("--cache", type=Path, metavar="DIR", help="folder in which results are kept between runs")
     parser.add_argument("--no-cache", action="store_true", help="run every stage, and keep nothing")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from sppm_pipeline.engine.cli.arguments import add_plugins, plugins_from
 
 Finding = tuple[bool, str, str]
-"""Whether all is well, what was looked at, what was found."""
+"""True if all is well, what was looked at, what was found."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -40,8 +40,9 @@ def execute(args: Namespace) -> int:
 
 def _compile() -> list[Finding]:
     """Compile what is not kept yet, on all processors; the kernels that could not be."""
-    from sppm_pipeline.engine.cli.kernels import CompileAhead, listed_kernels, missing
+    from sppm_pipeline.engine.cli.kernels import CompileAhead
     from sppm_pipeline.engine.cli.progress import ProgressLines
+    from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.engine.run.runner import available_threads
 
     if not (kernels := missing(listed_kernels())):
@@ -84,7 +85,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _at_least(version: str, spec: str) -> bool:
-    """Whether `version` meets the lower bound in a requirement such as ``numpy>=1.26``."""
+    """True if `version` meets the lower bound in a requirement such as ``numpy>=1.26``."""
     lower = spec.partition(">=")[2].split(",")[0].strip()
 
     def numbers(text: str) -> tuple[int, ...]:
@@ -101,8 +102,8 @@ def _machine() -> Iterator[Finding]:
 
 
 def _kernel_cache() -> Iterator[Finding]:
-    """Where compiled kernels are kept."""
-    from sppm_pipeline.engine.cli.kernels import listed_kernels, missing
+    """Folder of compiled kernels and its state."""
+    from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root
     from sppm_pipeline.services.jit.machine_code import hindrance
 

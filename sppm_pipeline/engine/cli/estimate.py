@@ -1,4 +1,4 @@
-"""``sppm estimate``: what a run will take, estimated along the wiring without running anything."""
+"""``sppm estimate``: memory, disk and time of a run, estimated along the wiring without running anything."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.cli.arguments import add_configuration, open_from
+from sppm_pipeline.engine.cli.arguments import add_configuration, history_of_machine, open_from, run_folder
 from sppm_pipeline.engine.cli.limits import add_limits, limits_of
 
 if TYPE_CHECKING:
@@ -24,33 +24,54 @@ def configure(parser: ArgumentParser) -> None:
 
 
 def execute(args: Namespace) -> int:
-    """Print the estimate; 5 if memory or disk will not do."""
+    """Print the estimate; 5 if memory or disk will not suffice."""
     with limits_of(args):
-        from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
-        from sppm_pipeline.engine.plan.rates import speed_of
-        from sppm_pipeline.engine.plan.session import checked, estimates, refuse_unfit
+        from sppm_pipeline.engine.config.problems import raise_problems
+        from sppm_pipeline.engine.plan.checking import checked, estimate
 
         session = open_from(args)
-        plan, rows = checked(session, args.until)
-        cache = cache_folder()
-        speed = speed_of(open_store(cache) if cache is not None and cache.is_dir() else None)
-        found = estimates(session, plan, rows, args.until, speed)
-        largest = max(found, key=lambda estimate: estimate.memory)
-        runs = max(1, len(rows))
-        start = found[0].program.seconds  # once, however many rows there are
-        total = {
-            "runs": runs,
-            "memory_bytes": round(largest.memory),
-            "disk_bytes": round(sum(one.disk for one in found) / len(found) * runs),
-            "seconds": round(start + sum(one.seconds - start for one in found) / len(found) * runs, 3),
-        }
+        folder = run_folder(args, session)
+        plan, rows, _ = checked(session, args.until, folder=None)
+        estimates, problems = estimate(session, plan, rows, args.until, folder, history=history_of_machine(args))
+        total = total_of(estimates, len(rows))
+        largest = max(estimates, key=lambda one: one.memory)
         stages = _stages(largest)
         if args.json:
             print(json.dumps({**total, "unknown": list(largest.unknown), "stages": stages}, indent=1))
         else:
-            _print(stages, total, largest.unknown)
-        refuse_unfit(session, plan, rows, args.output or Path("runs") / plan.name, until=args.until)
+            _print(stages, total)
+            print(summary_line(estimates, len(rows)))
+        raise_problems(problems)
     return 0
+
+
+def total_of(estimates: list[PlanEstimate], rows: int) -> dict[str, Any]:
+    """Memory of the largest run, disk and seconds of all; of a sweep, the estimates are of evenly spread rows."""
+    runs = max(1, rows)
+    start = estimates[0].start  # once, however many rows there are
+    return {
+        "runs": runs,
+        "memory_bytes": round(max(one.memory for one in estimates)),
+        "disk_bytes": round(sum(one.disk for one in estimates) / len(estimates) * runs),
+        "compiling_seconds": round(estimates[0].compiling.seconds, 3),
+        "seconds": round(start + sum(one.seconds - start for one in estimates) / len(estimates) * runs, 3),
+    }
+
+
+def summary_line(estimates: list[PlanEstimate], rows: int) -> str:
+    """Totals of an estimate in a line."""
+    from sppm_pipeline.engine.process.budget import format_bytes
+
+    total = total_of(estimates, rows)
+    unknown = dict.fromkeys(address for one in estimates for address in one.unknown)
+    least = "at least " if unknown else ""
+    memory, disk = format_bytes(total["memory_bytes"]), format_bytes(total["disk_bytes"])
+    compiling = total["compiling_seconds"]
+    return (
+        f"in all: {least}{memory} of memory, {least}{disk} on disk, {least}{total['seconds']:.3g} s on one core"
+        + (f" ({compiling:.3g} of them once, to compile kernels)" if compiling else "")
+        + (f"; unknown: {', '.join(unknown)}" if unknown else "")
+    )
 
 
 def _stages(estimate: PlanEstimate) -> list[dict[str, Any]]:
@@ -69,7 +90,7 @@ def _stages(estimate: PlanEstimate) -> list[dict[str, Any]]:
     return stages
 
 
-def _print(stages: list[dict[str, Any]], total: dict[str, Any], unknown: tuple[str, ...]) -> None:
+def _print(stages: list[dict[str, Any]], total: dict[str, Any]) -> None:
     from sppm_pipeline.engine.process.budget import format_bytes
 
     width = max(len(stage["id"]) for stage in stages)
@@ -84,9 +105,3 @@ def _print(stages: list[dict[str, Any]], total: dict[str, Any], unknown: tuple[s
         print(f"{stage['id']:{width}s} {memory:>10s} {disk:>10s} {numbers}")
     if total["runs"] > 1:
         print(f"that is the largest of {total['runs']} runs")
-    memory, disk = format_bytes(total["memory_bytes"]), format_bytes(total["disk_bytes"])
-    least = "at least " if unknown else ""
-    print(
-        f"in all: {least}{memory} of memory, {least}{disk} on disk, {least}{total['seconds']:.3g} s on one core"
-        + (f"; unknown: {', '.join(unknown)}" if unknown else "")
-    )

@@ -1,7 +1,7 @@
 """Compiling ahead: the kernels that a plan will call and that no earlier run has left on the disk, in child processes.
 
 Numba compiles a function when it is first called, one at a time in a process. Which stage calls which kernel with what
-types is known from a list that comes with the program (`LIST`, written by ``python -m benchmarks.kernel_list``). So
+types is known from a list that comes with the program (`engine.plan.kernels`). So
 child processes compile while the first stages run, and each stage waits only for the kernels that are listed for it.
 What is not on the list is compiled when it is called. Nothing depends on it but time: a child that dies, a folder that
 can't be written or an outdated list leave the work to the run itself.
@@ -11,77 +11,29 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from sppm_pipeline.engine.plan.kernels import (
+    MIN_SECONDS_AHEAD,
+    SWITCH,
+    Kernel,
+    kernels_of,
+    listed_kernels,
+    missing,
+    stages_of,
+)
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.services.jit.kernel_cache import is_kept, kernel_cache_lasts, look_again
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-LIST = Path(__file__).parent / "kernels.json"
-
-WORTH = 3.0
-"""Seconds of compiling, by the list, below which starting child processes costs more than it saves; a choice."""
-
-MOST = 8
-"""Child processes at most: each takes 200 MB, and the longest kernel sets the time anyway; a choice."""
-
-SWITCH = "SPPM_COMPILE_AHEAD"
-"""Environment variable; ``off`` leaves compiling to the run itself."""
-
-
-class Kernel(NamedTuple):
-    """A compiled function that Python calls, as the list has it.
-
-    Attributes
-    ----------
-    place : str
-        ``package.module:name``.
-    seconds : float
-        CPU time of compiling when the list was made.
-    stages : tuple of str
-        Stages that were seen to call it.
-    company : tuple of str
-        Stages that were in every pipeline in which it was called.
-    signatures : list
-        See `kernel_signatures`.
-    """
-
-    place: str
-    seconds: float
-    stages: tuple[str, ...]
-    company: tuple[str, ...]
-    signatures: list[Any]
-
-
-def listed_kernels() -> list[Kernel]:
-    """All kernels of the list, in the order of their use."""
-    entries = json.loads(LIST.read_text(encoding="utf-8"))
-    return [Kernel(e["kernel"], e["seconds"], tuple(e["stages"]), tuple(e["with"]), e["signatures"]) for e in entries]
-
-
-def stages_of(plan: Plan) -> set[str]:
-    """Names of all stages of a plan, those of its recipes included."""
-    return {step.stage.name for steps in (plan.steps, plan.after, *plan.recipes.values()) for step in steps}
-
-
-def kernels_of(stages: set[str], kernels: Iterable[Kernel]) -> list[Kernel]:
-    """Those that a pipeline of these stages will probably call."""
-    return [k for k in kernels if stages.issuperset(k.company) and not stages.isdisjoint(k.stages)]
-
-
-def missing(kernels: Iterable[Kernel]) -> list[Kernel]:
-    """Those that have to be compiled; none if nothing can be kept on the disk."""
-    look_again()
-    return [k for k in kernels if not is_kept(k.place, len(k.signatures))] if kernel_cache_lasts() else []
+MAX_PROCESSES = 8
+"""Child processes that compile: each takes 200 MB, and from about eight on the longest kernel sets the time."""
 
 
 def in_order(kernels: Iterable[Kernel], stages: Sequence[str]) -> list[Kernel]:
@@ -118,7 +70,7 @@ class CompileAhead:
     processes : int
     ids : dict of stage id to stage name
     failed : function of two str, optional
-        Told of each kernel that could not be compiled, and why.
+        Called for each kernel that could not be compiled, and why.
     """
 
     def __init__(
@@ -135,10 +87,10 @@ class CompileAhead:
 
         self._ids = ids
         self._failed = failed
-        self._ended: set[Future[None]] = set()  # and told of, which futures that are done need not be yet
+        self._ended: set[Future[None]] = set()  # and reported, which futures that are done need not be yet
         self._changed = threading.Condition()
         self._pool = ProcessPoolExecutor(
-            min(processes, len(kernels), MOST),
+            min(processes, len(kernels), MAX_PROCESSES),
             # not forked: a fork of a process with threads may hang
             mp_context=multiprocessing.get_context("spawn"),
             initializer=begin_worker,
@@ -148,10 +100,10 @@ class CompileAhead:
         with contextlib.suppress(OSError, RuntimeError):  # no more processes, or they die at once
             for kernel in in_order(kernels, list(ids.values())):
                 future = self._pool.submit(_compile, kernel.place, kernel.signatures)
-                future.add_done_callback(functools.partial(self._tell, kernel))
+                future.add_done_callback(functools.partial(self._report, kernel))
                 self._futures.append((kernel, future))
 
-    def _tell(self, kernel: Kernel, future: Future[None]) -> None:
+    def _report(self, kernel: Kernel, future: Future[None]) -> None:
         if not future.cancelled() and (error := future.exception()) is not None:
             self._failed(kernel.place, _why(error))
         with self._changed:
@@ -165,17 +117,17 @@ class CompileAhead:
         ----------
         stage : str or None
         notify : function of two int
-            Told at each change how many of all kernels are done.
+            Called at each change with the numbers of finished and of all kernels.
         """
         name = None if stage is None else self._ids.get(stage, stage)
         needed = [future for kernel, future in self._futures if name is None or name in kernel.stages]
-        told = -1
+        reported = -1
         while not self._ended.issuperset(needed):
             check()
             done = len(self._ended)
-            if done != told:
+            if done != reported:
                 notify(done, len(self._futures))
-                told = done
+                reported = done
             with self._changed:
                 self._changed.wait(0.1)
 
@@ -216,7 +168,7 @@ def compiling_ahead(plan: Plan, monitor: Waiting, processes: int) -> Iterator[Co
     needed = missing(wanted)
     ahead = None
     ids = {step.id: step.stage.name for step in plan.steps}
-    if sum(k.seconds for k in needed) >= WORTH:
+    if sum(k.seconds for k in needed) >= MIN_SECONDS_AHEAD:
         with contextlib.suppress(OSError, ImportError, NotImplementedError):  # no semaphores in this sandbox
             ahead = CompileAhead(needed, processes, ids, monitor.not_compiled)
     monitor.ahead = ahead

@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except BrokenPipeError:
         _close_stdout()
-        return 0  # whoever read our results has seen enough; nothing failed here
+        return 0  # the reader of our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
         _say_exit_message(words)
         return 128 + getattr(error, "number", 2)
@@ -148,12 +148,12 @@ def _built_in(verb: str) -> _Verb | None:
 
 
 def _of_plugin(verb: str, words: list[str]) -> _Verb:
-    """A verb from a plugin; plugins are loaded only if somebody asks for a verb that is not built in.
+    """A verb from a plugin; plugins are loaded only for a verb that is not built in.
 
     Raises
     ------
     ConfigError
-        If nobody supplies it.
+        If no plugin supplies it.
     """
     from sppm_pipeline.engine.cli.arguments import commands_of_plugins
     from sppm_pipeline.engine.cli.commands import built_in_commands
@@ -191,7 +191,7 @@ def _usage(*, plugins: bool = False) -> str:
 
 
 def _reported(error: Exception, debug: bool) -> int:
-    """Tell of an error, even if what tells of it can't be loaded any more; its exit code."""
+    """Report an error, even if the modules that report can't be loaded any more; its exit code."""
     try:
         return _report(error, debug)
     except (OSError, ImportError, MemoryError):
@@ -253,7 +253,7 @@ def _mark_ended(folder: Path, status: str, error: SppmError | None) -> None:
 
 
 def _say(message: str) -> None:
-    """Write to stderr; if somebody closed it, have the supervisor do so."""
+    """Write to stderr; if it was closed, have the supervisor do so."""
     try:
         print(f"sppm: {message}", file=sys.stderr)
     except (OSError, ValueError):

@@ -15,7 +15,8 @@ SCHEMA = "sppm.schema.json"
 """Name of the schema beside new pipelines, by which editors check and complete them."""
 
 TEMPLATES = Path(__file__).parent / "templates"
-"""What is written, with names to be replaced: ``pipeline.yaml``, what all plugins share, and a folder for each kind."""
+"""Folder of the templates, with names to be replaced: ``pipeline.yaml``, what all plugins share, and a folder for each
+kind."""
 
 
 class Kind(NamedTuple):

@@ -33,7 +33,7 @@ def execute(args: Namespace) -> int:
 
 
 def _described(args: Namespace) -> Iterator[dict[str, Any]]:
-    """What is known without running any code of a plugin."""
+    """Entries from metadata, without running any code of a plugin."""
     from sppm_pipeline.built_in import BUILTINS
     from sppm_pipeline.engine.plan.plugins import Plugin, allowed_plugins, installed_plugins
 
@@ -61,7 +61,7 @@ def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
 
 
 def findings_of(plugin: Any, registry: Any) -> list[str]:
-    """What is wrong with a plugin and with each of its stages."""
+    """Errors of a plugin and of each of its stages."""
     from sppm_pipeline.errors import SppmError
 
     found = [str(plugin.error)] if plugin.error else []

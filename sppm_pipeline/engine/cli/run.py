@@ -7,17 +7,23 @@ import io
 import math
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.cli.arguments import add_cache, add_configuration, cache_of, open_from
+from sppm_pipeline.engine.cli.arguments import (
+    add_cache,
+    add_configuration,
+    cache_of,
+    history_of_machine,
+    open_from,
+    run_folder,
+)
 from sppm_pipeline.engine.cli.limits import add_limits, limits_of, seconds
 from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cli.kernels import Waiting
-    from sppm_pipeline.engine.plan.planning import Plan
     from sppm_pipeline.engine.plan.session import Session
     from sppm_pipeline.engine.plan.wiring import Step
     from sppm_pipeline.engine.run.crew import Crew
@@ -25,7 +31,8 @@ if TYPE_CHECKING:
 
 
 LINE = 100
-"""Characters of a line of numbers, beside the stage and its time; a choice."""
+"""Characters of a line of numbers, beside the stage and its time: with both, lines stay below the 120 columns of a
+usual terminal."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -48,10 +55,22 @@ def configure(parser: ArgumentParser) -> None:
         "--retries", type=_retries, metavar="N", default=2, help="runs again of work whose worker died; 2 if omitted"
     )
     parser.add_argument("--same-processor", action="store_true", help="refuse workers on another kind of processor")
-    parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
+    failing = parser.add_mutually_exclusive_group()
+    failing.add_argument(
+        "-k",
+        "--keep-going",
+        action="store_true",
+        help="go on with the other runs of a sweep after one has failed, and exit with its code: what is done anyway",
+    )
+    failing.add_argument("--ignore-failed", action="store_true", help="exit with 0 though runs of a sweep failed")
     add_cache(parser)
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
-    parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr, but warnings")
+    parser.add_argument(
+        "-q",
+        "--quiet",
+        action="store_true",
+        help="no progress, and nothing on stdout but what --json prints; warnings stay",
+    )
     parser.add_argument("-v", "--verbose", action="store_true", help="a line with date and time for each event")
     parser.add_argument("--log", type=Path, metavar="FILE", help="add these lines to a file")
     parser.add_argument("--json", action="store_true", help="print the run record as JSON")
@@ -87,18 +106,21 @@ def _execute(args: Namespace) -> int:
         return check.execute(args)
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.cli.kernels import compiling_ahead
-    from sppm_pipeline.engine.plan.session import checked, refuse_unfit
+    from sppm_pipeline.engine.config.problems import raise_problems
+    from sppm_pipeline.engine.plan.checking import checked
+    from sppm_pipeline.engine.plan.estimate import unfit_problems
+    from sppm_pipeline.engine.run.crew import fewest_samples
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     session = open_from(args)
-    plan, rows = checked(session, args.until)
-    path = args.output or Path("runs") / plan.name
-    alone = args.jobs == 1 or rows
-    fewest = 0.0 if alone else _fewest(args, plan)
-    local = (args.executor or default_executor(args.jobs)) == "processes" and fewest < math.inf
-    crew = args.jobs if local else 0
-    refuse_unfit(session, plan, rows, path, workers=args.jobs, crew=crew, until=args.until)
+    path = run_folder(args, session)
+    plan, rows, estimates = checked(session, args.until, folder=path, jobs=args.jobs, history=history_of_machine(args))
+    fewest = 0.0
+    if args.jobs > 1 and not rows:
+        fewest = fewest_samples(args.executor, estimates[0])
+        if fewest < math.inf and (args.executor or default_executor(args.jobs)) == "processes":
+            raise_problems(unfit_problems(estimates, path, crew=args.jobs))
     threads = args.threads or available_threads()
     cache = cache_of(args)
     stack = contextlib.ExitStack()
@@ -147,17 +169,20 @@ def _execute(args: Namespace) -> int:
         _write_report(args, path)
     if args.json:
         _print_json(record)
+    elif args.quiet:
+        for line in _failures(record):
+            print(f"sppm: {line}", file=sys.stderr)
     else:
         _print_summary(record, path, {step.address: headlines_of(step) for step in (*plan.steps, *plan.after)})
     failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
-    if failed and not args.keep_going:
+    if failed and not args.ignore_failed:
         codes = {run["error"]["exit_code"] for run in failed}
         return codes.pop() if len(codes) == 1 else 3
     return 0
 
 
 def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
-    """What shows the run, closed by `stack`."""
+    """The monitor that shows the run, closed by `stack`."""
     from sppm_pipeline.engine.cli.progress import ProgressLines
     from sppm_pipeline.services.jit.kernel_cache import on_first_compilation
 
@@ -167,14 +192,6 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     stack.callback(monitor.close)
     on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     return monitor
-
-
-def _fewest(args: Namespace, plan: Plan) -> float:
-    """How many samples of a stage are worth the workers of the run."""
-    from sppm_pipeline.engine.plan.estimate import estimate_plan
-    from sppm_pipeline.engine.run.crew import fewest_samples
-
-    return fewest_samples(args.executor, estimate_plan(plan, until=args.until))
 
 
 def _crew(
@@ -246,14 +263,20 @@ def _print_summary(
         )
         time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
         print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
+    for line in _failures(record):
+        print(line)
     runs = record.get("runs", [])
-    for run in runs:
-        if run["error"]:
-            values = ", ".join(f"{name}={value}" for name, value in run["params"].items())
-            print(f"run {run['run']} ({values}) failed: {run['error']['message']}")
     peak = f", peak memory {record['peak_memory_mb']:.0f} MB" if record["peak_memory_mb"] else ""
     done = f", {sum(run['status'] == 'done' for run in runs)} of {len(runs)} runs" if runs else ""
     print(f"{record['status']} in {record['seconds']:.2f} s{done}{peak}: {path}")
+
+
+def _failures(record: Mapping[str, Any]) -> Iterator[str]:
+    """A line for each failed run of a sweep."""
+    for run in record.get("runs", ()):
+        if run["error"]:
+            values = ", ".join(f"{name}={value}" for name, value in run["params"].items())
+            yield f"run {run['run']} ({values}) failed: {run['error']['message']}"
 
 
 def _wrapped(texts: Sequence[str], indent: int) -> str:

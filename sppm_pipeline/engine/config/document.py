@@ -32,7 +32,7 @@ RECORD_KEY = "sppm_run"
 """First key of a run record; its `config`, which comes next, is then the document, and the rest is not read."""
 
 DECIMALS = "decimals are written with a point: 0.05, not 0,05"
-"""What is said of a comma in a number."""
+"""Hint for a comma in a number."""
 
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
@@ -70,7 +70,7 @@ class Node:
 
     @property
     def has_param(self) -> bool:
-        """Whether a parameter's value stands anywhere in it."""
+        """True if a parameter's value stands anywhere in it."""
         return any(node.param is not None for node in nodes_of(self))
 
 
@@ -208,7 +208,7 @@ def count_nodes(node: Node) -> int:
 
 
 def _hint(text: str, problem: str, number: int) -> str | None:
-    """What to do about a line, counted from 0, at which the parser gave up."""
+    """Hint for a line, counted from 0, at which the parser gave up."""
     lines = text.splitlines()
     line = lines[number] if number < len(lines) else ""
     if "'\\t'" in problem:
@@ -253,7 +253,7 @@ class _Composer:
         return root
 
     def _parse(self, text: str) -> Iterator[Any]:
-        """The parser's events, its errors turned into ours."""
+        """The parser's events, its errors turned into `ConfigError`."""
         from ruamel.yaml import YAML
         from ruamel.yaml.error import MarkedYAMLError, YAMLError
         from ruamel.yaml.reader import ReaderError

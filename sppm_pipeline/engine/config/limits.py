@@ -1,4 +1,4 @@
-"""How large a configuration may be: what is refused before it is parsed, and what while it is.
+"""Limits on the size of a configuration: what is refused before it is parsed, and what while it is.
 
 The parser is written in Python and takes up to a second for a megabyte; some of its tokens take quadratic time. So a
 text is held to a size, a length of line and a length of word by expressions that run at the speed of memory, and only
@@ -39,7 +39,7 @@ MAX_NODES = 20_000
 _LONG_LINE = re.compile(rf"(?<![^\r\n\x85\u2028\u2029])[^\r\n\x85\u2028\u2029]{{{MAX_LINE + 1}}}")
 _LONG_WORD = re.compile(rf"(?<![^\s,\[\]{{}}])[^\s,\[\]{{}}]{{{MAX_SCALAR + 1}}}")
 _DEEP = re.compile(rf"(?:[\[{{][ \t]*+){{{2 * MAX_DEPTH + 1}}}")
-"""Brackets on brackets: the parser looks ahead over a thousand of them, in quadratic time."""
+"""Brackets on brackets: the parser buffers a thousand of them, in quadratic time."""
 
 _ENCODINGS = {
     b"\xff\xfe\x00\x00": "UTF-32",
@@ -129,7 +129,7 @@ def parsable(text: str) -> str:
 
 
 def unprintable(text: str) -> str | None:
-    """What of `text` can be in no name and no label: a control character, half of a pair; None if all is well."""
+    """The first character of `text` that no name or label may hold, as an escape; None if there is none."""
     found = _UNPRINTABLE.search(text)
     return None if found is None else f"\\u{ord(found[0]):04x}"
 

@@ -13,7 +13,8 @@ from sppm_pipeline.errors import ConfigError, Position
 
 STAGING = ".staging-"
 REPORT = "report.html"
-"""What `sppm report` writes into a run directory; no part of the run, and taken away when another takes its place."""
+"""File that `sppm report` writes into a run directory; no part of the run, and taken away when another takes its
+place."""
 
 RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs", ".claim", REPORT})
 
@@ -66,7 +67,7 @@ _LIKE_A_FILE = re.compile(r"\.[a-z]\w{1,4}", re.IGNORECASE)
 
 
 def suffix_words(suffixes: Collection[str]) -> str:
-    """How an output may be named: "a name that ends in .md or .csv"."""
+    """Allowed names of an output: "a name that ends in .md or .csv"."""
     files = [suffix for suffix in suffixes if suffix != "/"]
     listed = f"{', '.join(files[:-1])} or {files[-1]}" if len(files) > 1 else "".join(files)
     words = [f"a name that ends in {listed}"] * bool(files) + ["the name of a folder"] * ("/" in suffixes)
@@ -74,7 +75,7 @@ def suffix_words(suffixes: Collection[str]) -> str:
 
 
 def fits_suffix(name: str, suffixes: Collection[str]) -> bool:
-    """Whether the name of an output ends as one of `suffixes` says; that of a folder ends like no file's."""
+    """True if the name of an output ends as one of `suffixes` says; that of a folder ends like no file's."""
     suffix = PurePosixPath(name.replace("\\", "/")).suffix.lower()
     return not suffixes or suffix in suffixes or ("/" in suffixes and not _LIKE_A_FILE.fullmatch(suffix))
 
@@ -85,7 +86,7 @@ def folded(parts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def collide(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
-    """Whether two folded names are the same, or one lies in the other."""
+    """True if two folded names are the same, or one lies in the other."""
     short = min(len(one), len(other))
     return one[:short] == other[:short]
 

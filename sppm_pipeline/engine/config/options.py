@@ -18,7 +18,7 @@ from sppm_pipeline.engine.config.document import DECIMALS, Entry, Override, plai
 from sppm_pipeline.engine.config.names import fits_suffix, output_parts, suffix_words
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
-from sppm_pipeline.nouns.length import UNITS_IN_MM, Length, parse_length
+from sppm_pipeline.nouns.length import CELL_UNIT, UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.stage import OptionSpec, Stage
 
 SMALLEST_MM, LARGEST_MM = 1e-6, 1e6
@@ -53,7 +53,7 @@ class Option:
 
     @property
     def required(self) -> bool:
-        """Whether it must be given."""
+        """True if it must be given."""
         return self.default is dataclasses.MISSING
 
 
@@ -261,13 +261,16 @@ def _parse_length(value: Any, option: Option) -> Length:
     except ValueError as error:
         raise _refused(option, value, f"; {error}") from None
     spec, scale = option.spec, 1.0
-    if length.unit is not None and spec.unit in UNITS_IN_MM:
+    if length.unit == CELL_UNIT:
+        if spec.unit != "cell size":
+            raise _refused(option, value, "; only lengths of a cell can be given in cell sizes")
+    elif length.unit is not None and spec.unit in UNITS_IN_MM:
         scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[spec.unit]
     elif length.unit is not None:
         spec = OptionSpec("", minimum=spec.minimum, above=spec.above)
     if not _in_bounds(length.value * scale, spec):
         raise _refused(option, value)
-    if length.unit is not None and length.value and not SMALLEST_MM <= abs(length.mm()) <= LARGEST_MM:
+    if length.unit in UNITS_IN_MM and length.value and not SMALLEST_MM <= abs(length.mm()) <= LARGEST_MM:
         more = f"; a length with a unit lies between {SMALLEST_MM:g} mm and {LARGEST_MM:g} mm"
         raise _refused(option, value, more)
     return length
@@ -319,7 +322,7 @@ def _member_words(kind: Any, plural: bool) -> str:
 
 
 def hint_of(option: Option, value: Any) -> str:
-    """What to do about a value that was refused: how nothing is written, if that was meant, else what the option is."""
+    """Hint for a value that was refused: how null is written, if that was meant, else the help of the option."""
     if (
         isinstance(value, str)
         and value.lower() in ("none", "nothing", "nil", "~")

@@ -24,7 +24,7 @@ MAX_ROWS = 100_000
 
 @dataclass(frozen=True)
 class Overrides:
-    """What the command line changes in a configuration, as plain text.
+    """Changes that the command line makes in a configuration, as plain text.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Substituted(NamedTuple):
     used : set of str
         Parameters that were put in.
     unread : set of Position
-        Places of values that could not be told; further errors there would only be consequences.
+        Places of values that could not be read; further errors there would only be consequences.
     """
 
     groups: dict[str, Node]
@@ -80,13 +80,7 @@ class Substituted(NamedTuple):
 
 
 def put_in(groups: Mapping[str, Node], params: Mapping[str, Entry]) -> tuple[Substituted, Problems]:
-    """Replace every ``${name}`` by the parameter's value.
-
-    Raises
-    ------
-    ConfigError
-        If that makes the document too large.
-    """
+    """Replace every ``${name}`` by the parameter's value, as long as the document does not become too large."""
     found = Substituted({}, set(), set())
     problems = [
         ConfigError(f"the parameter {name!r} can't refer to another one", where=node.where)
@@ -118,11 +112,13 @@ def put_in(groups: Mapping[str, Node], params: Mapping[str, Entry]) -> tuple[Sub
             return node
         found.used.add(match[1])
         value = params[match[1]].node
-        count += count_nodes(value)
+        before, count = count, count + count_nodes(value)
         if count > MAX_NODES:  # a long list put in many times would take more than the file's own values may
-            raise ConfigError(
-                f"with parameters put in, the document has more than {MAX_NODES} values", where=node.where
-            )
+            found.unread.add(node.where)
+            if before <= MAX_NODES:
+                message = f"with parameters put in, the document has more than {MAX_NODES} values"
+                problems.append(ConfigError(message, where=node.where))
+            return node
         return Node(value.value, value.where, match[1])
 
     found.groups.update((name, applied(node)) for name, node in groups.items())

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, reported in one pass, and guesses at what was meant."""
+"""Errors of a configuration, reported in one pass, and guesses at what was meant."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
-from sppm_pipeline.errors import ConfigError, ConfigErrors
+from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
 
 Problems = list[ConfigError]
-"""What a phase has found wrong. Each returns it beside its value; `raise_problems` reports those of all together."""
+"""Errors that a phase has found. Each phase returns it beside its value; `raise_problems` reports all together."""
 
 
-def raise_problems(problems: Iterable[ConfigError]) -> None:
+def raise_problems(problems: Iterable[SppmError]) -> None:
     """Raise what was found, each message once, in the order of the file; nothing if there was nothing.
 
     Raises
     ------
-    ConfigError
+    SppmError
         The only error, or a `ConfigErrors` of all.
     """
     unique = {str(one): one for error in problems for one in getattr(error, "errors", (error,))}

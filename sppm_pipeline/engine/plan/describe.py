@@ -156,7 +156,7 @@ def _flow(value: Any) -> str:
 
 
 def explain_plan(plan: Plan, reasons: Mapping[str, tuple[bool, str]] | None = None) -> str:
-    """What each stage of a plan does, with its options, inputs and the path of its random numbers.
+    """Description of each stage of a plan, with its options, inputs and the path of its random numbers.
 
     Parameters
     ----------

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sppm_pipeline.engine.plan.kernels import MIN_SECONDS_AHEAD, SWITCH, has_compiled, missing_of
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.engine.plan.rates import WORTH, Cost, Speed, cost, learn_speed
+from sppm_pipeline.engine.plan.rates import Cost, History, Seen, by_history, cost, remember
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
 from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 from sppm_pipeline.errors import ResourceError, SppmError
@@ -20,10 +22,18 @@ from sppm_pipeline.nouns.size import ONE, RecipeSize, Size
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
 
-TRUST = 1.3
-"""An estimate may be this much too high before a run is refused that the machine might just manage."""
+MAX_OVERESTIMATE = 1.3
+"""Estimates are up to this much too high, so that a run is refused only beyond it."""
+
+COMPILER = Cost(seconds=0.0, memory=155e6, kept=0.0, disk=0.0)
+"""Numba and LLVM in a process: first runs of seven configurations took 79 to 155 MB more than later ones."""
+
+LEFT_BY_ROWS = 25e6
+"""Bytes that the allocator keeps after a row of a sweep: 12 and 17 MB in sweeps of 15 and 22 rows."""
 
 RecipeSteps = Mapping[str, Sequence[Step]]
+
+NONE_SEEN: History = {}
 
 
 @dataclass(frozen=True)
@@ -34,9 +44,11 @@ class StageEstimate:
     ----------
     step : Step
     size : Size or None
-        None if the stage does not tell it.
+        None if it is unknown.
     cost : Cost or None
         With those of its recipes; None if the size or the rates are unknown.
+    rated : float
+        Seconds by the table alone, whatever the machine has seen; 0 if they are unknown.
     resident : float
         Bytes that the process holds at most while the stage runs.
     unknown : tuple of str
@@ -46,12 +58,13 @@ class StageEstimate:
     step: Step
     size: Size | None
     cost: Cost | None
+    rated: float
     resident: float
     unknown: tuple[str, ...]
 
     @property
     def advice(self) -> str:
-        """What makes the work smaller."""
+        """Hint that makes the work smaller."""
         stage = self.step.stage
         return stage.advice or ("lower `resolution`" if hasattr(stage, "resolution") else "")
 
@@ -63,6 +76,8 @@ class PlanEstimate:
     stages: tuple[StageEstimate, ...]
     program: Cost
     """Of the program itself and its record."""
+    compiling: Cost
+    """Of the kernels that no earlier run has left on the disk."""
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -72,7 +87,7 @@ class PlanEstimate:
     @property
     def memory(self) -> float:
         """Bytes resident at most."""
-        return max((stage.resident for stage in self.stages), default=self.program.memory)
+        return self.compiling.memory + max(self.program.memory, *(stage.resident for stage in self.stages))
 
     @property
     def disk(self) -> float:
@@ -82,18 +97,25 @@ class PlanEstimate:
     @property
     def seconds(self) -> float:
         """On one core."""
-        return self.program.seconds + sum(stage.cost.seconds for stage in self.stages if stage.cost)
+        return self.start + sum(stage.cost.seconds for stage in self.stages if stage.cost)
+
+    @property
+    def start(self) -> float:
+        """Seconds, of those, that the rows of a sweep share."""
+        return self.program.seconds + self.compiling.seconds
 
     @property
     def handed_out(self) -> float | None:
-        """Seconds, of those, of stages that hand work to the workers of a run; None if any is unknown."""
+        """Rated seconds of stages that hand work to the workers of a run; None if any is unknown."""
         handing = [stage for stage in self.stages if stage.step.stage.maps]
         if any(stage.cost is None or stage.unknown for stage in handing):
             return None
-        return math.fsum(stage.cost.seconds for stage in handing if stage.cost)
+        return math.fsum(stage.rated for stage in handing)
 
 
-def estimate_plan(plan: Plan, *, until: str | None = None, speed: Speed | None = None) -> PlanEstimate:
+def estimate_plan(
+    plan: Plan, *, until: str | None = None, history: History = NONE_SEEN, of_sweep: bool = False
+) -> PlanEstimate:
     """Estimate a plan without running it.
 
     Parameters
@@ -101,14 +123,40 @@ def estimate_plan(plan: Plan, *, until: str | None = None, speed: Speed | None =
     plan : Plan
     until : str, optional
         Id of the last stage that will run.
-    speed : Speed, optional
-        Of this machine, if it is known.
+    history : mapping of entry of the table of rates to Seen
+        What this machine has seen.
+    of_sweep : bool
+        Whether the plan is that of a row, after which stages of `after` run in the same process.
     """
     steps = plan.until(until)
     entries = len(steps) + sum(len(group) for group in plan.recipes.values())
-    program = cost("sppm", {"stages": float(entries)})
-    assert program is not None
-    return PlanEstimate(estimate_steps(steps, plan.recipes, ONE, program.memory, speed or {}), program)
+    program = _program(entries)
+    base = program.memory + (LEFT_BY_ROWS if of_sweep else 0.0)
+    stages = estimate_steps(steps, plan.recipes, ONE, base, history)
+    if of_sweep and until is None:
+        after = estimate_steps(plan.after, {}, ONE, base, history)
+        program = program._replace(
+            seconds=program.seconds + sum(stage.cost.seconds for stage in after if stage.cost),
+            memory=max([base, *(stage.resident for stage in after)]),
+        )
+    return PlanEstimate(stages, program, compiling_cost(plan))
+
+
+def _program(entries: int) -> Cost:
+    found = cost("sppm", {"stages": float(entries)})
+    assert found is not None
+    return found
+
+
+def compiling_cost(plan: Plan) -> Cost:
+    """Cost of compiling the kernels that a plan will call and that are not on the disk.
+
+    Child processes that compile ahead do so beside the first stages; memory is that of the process of the run.
+    """
+    lacking = missing_of(plan)
+    seconds = sum(kernel.seconds for kernel in lacking)
+    apart = seconds >= MIN_SECONDS_AHEAD and os.environ.get(SWITCH, "").lower() != "off"
+    return COMPILER._replace(seconds=seconds, memory=COMPILER.memory if lacking and not apart else 0.0)
 
 
 def estimate_steps(
@@ -116,7 +164,7 @@ def estimate_steps(
     recipes: RecipeSteps,
     palette: Palette,
     base: float,
-    speed: Speed,
+    history: History,
 ) -> tuple[StageEstimate, ...]:
     """Estimate stages in order; `base` are bytes that are resident before the first."""
     sizes: dict[str, Size | None] = {}
@@ -124,36 +172,40 @@ def estimate_steps(
     found: list[StageEstimate] = []
     for step, done in zip(steps, last_uses(steps), strict=True):
         inner: list[tuple[float, StageEstimate]] = []
-        size = sizes[step.id] = _size(step, sizes, recipes, palette, speed, inner)
+        size = sizes[step.id] = _size(step, sizes, recipes, palette, history, inner)
         key = step.stage.rated_as
-        own = None if size is None else cost(key, size.units(), factor=speed.get(key, 1.0))
+        own = None if size is None else cost(key, size.units())
         unknown = tuple(address for _, stage in inner for address in stage.unknown)
         total = None
+        rated = 0.0
+        resident = base + sum(kept.values())
         if own is None:
             unknown = (*unknown, step.address)
         else:
             costs = [(repeats, stage.cost) for repeats, stage in inner if stage.cost]
-            total = Cost(
-                seconds=own.seconds + sum(repeats * one.seconds for repeats, one in costs),
-                memory=max(own.memory, own.kept, *(stage.resident for _, stage in inner), 0.0),
-                kept=own.kept,
-                disk=own.disk + sum(repeats * one.disk for repeats, one in costs),
-            )
-        resident = base + sum(kept.values()) + (total.memory if total else 0.0)
+            rated = own.seconds + sum(repeats * stage.rated for repeats, stage in inner)
+            memory = max(own.memory, own.kept, *(stage.resident for _, stage in inner), 0.0)
+            disk = own.disk + sum(repeats * one.disk for repeats, one in costs)
+            seconds, resident = by_history(history.get(key, ()), rated, resident + memory)
+            total = Cost(seconds, memory, own.kept, disk)
         kept[step.id] = total.kept if total else 0.0
-        found.append(StageEstimate(step, size, total, resident, unknown))
+        found.append(StageEstimate(step, size, total, rated, resident, unknown))
         for id_ in done:
             kept.pop(id_, None)
     return tuple(found)
 
 
 def learn(store: Store, steps: Sequence[Step], recipes: RecipeSteps, record: Sequence[Mapping[str, Any]]) -> None:
-    """Compare the seconds in the entries of a run record with the table of rates, for the next estimate."""
-    took = {entry["id"]: entry["seconds"] for entry in record if not entry.get("cached") and entry["seconds"] > WORTH}
-    if took:
-        stages = estimate_steps(steps, recipes, ONE, 0.0, {})
-        known = [stage for stage in stages if stage.step.id in took and stage.cost and not stage.unknown]
-        learn_speed(store, {s.step.stage.rated_as: (took[s.step.id], s.cost.seconds) for s in known if s.cost})
+    """Remember seconds and memory in the entries of a run record, for the next estimate."""
+    entries = {entry["id"]: entry for entry in record if not entry.get("cached")}
+    took = []
+    for stage in estimate_steps(steps, recipes, ONE, _program(0).memory, {}) if entries else ():
+        entry = entries.get(stage.step.id)
+        if entry is not None and stage.cost is not None and not stage.unknown:
+            # a process that has compiled kernels holds more than others will
+            peak = 0.0 if has_compiled() else 1e6 * (entry.get("peak_memory_mb") or 0.0)
+            took.append((stage.step.stage.rated_as, Seen(stage.rated, entry["seconds"], stage.resident, peak)))
+    remember(store, took)
 
 
 def _size(
@@ -161,10 +213,10 @@ def _size(
     sizes: Mapping[str, Size | None],
     recipes: RecipeSteps,
     palette: Palette,
-    speed: Speed,
+    history: History,
     inner: list[tuple[float, StageEstimate]],
 ) -> Size | None:
-    """The size that a stage tells; whatever goes wrong is no reason not to run, but mistakes are warned of.
+    """The size that a stage estimates; errors do not keep it from running, but mistakes trigger a warning.
 
     Errors of the house and of the system, arithmetic on odd numbers and `LookupError` say that a size is unknown, and
     so does anything that follows from an input of unknown size.
@@ -172,7 +224,7 @@ def _size(
 
     def recipe_size(name: str) -> RecipeSize:
         def of(palette: Palette = palette, repeats: float = 1.0) -> Size:
-            stages = estimate_steps(recipes[name], recipes, palette, 0.0, speed)
+            stages = estimate_steps(recipes[name], recipes, palette, 0.0, {})
             inner.extend((repeats, stage) for stage in stages)
             kind = step.stage.returns
             made = [stage for stage in stages if kind is None or makes_kind(stage.step, kind)]
@@ -205,21 +257,21 @@ def _size(
     return size if valid else None
 
 
-def refuse_what_cannot_fit(
-    estimate: PlanEstimate,
+def unfit_problems(
+    estimates: Sequence[PlanEstimate],
     folder: Path,
     *,
     runs: int = 1,
     workers: int = 1,
     crew: int = 0,
     memory: tuple[int | None, str] | None = None,
-) -> None:
-    """Raise `ResourceError` if memory or disk will not do, with what to change.
+) -> list[ResourceError]:
+    """A `ResourceError` if memory or disk will not suffice, with what to change.
 
     Parameters
     ----------
-    estimate : PlanEstimate
-        Of one run.
+    estimates : sequence of PlanEstimate
+        Of the run, or of rows that stand for all of a sweep.
     folder : Path
         The run directory, which need not exist.
     runs : int
@@ -227,32 +279,35 @@ def refuse_what_cannot_fit(
     workers : int
         Runs at the same time.
     crew : int
-        Worker processes of this machine beside each run, which take as much as a stage that hands them work.
+        Worker processes of this machine beside a single run, which take as much as a stage that hands them work.
     memory : (bytes or None, words), optional
-        What may be taken, and what limits it; that of this machine if omitted.
+        The limit, and what sets it; that of this machine if omitted.
     """
     limit, words = memory or allowed_memory()
+    workers = min(workers, runs)
     # the user's own limit is meant as it stands
-    slack = 1.0 if MEMORY in words or "--memory" in words else TRUST
-    for stage in estimate.stages:
+    slack = 1.0 if MEMORY in words or "--memory" in words else MAX_OVERESTIMATE
+    for stage in (stage for estimate in estimates for stage in estimate.stages):
         helpers = crew if stage.step.stage.maps else 0
         needed = stage.resident * (workers + helpers)
         if limit is not None and stage.cost is not None and needed > slack * limit:
-            raise ResourceError(
+            message = (
                 f"about {format_bytes(needed)} of memory would be needed; {words} is {format_bytes(limit)}"
                 + (f" ({workers} runs at the same time)" if workers > 1 else "")
-                + (f" ({helpers} workers and the program itself)" if helpers else ""),
-                hint=stage.advice or "use a coarser resolution or a smaller part",
-                where=stage.step.where,
-                stage=stage.step.address,
+                + (f" ({helpers} workers and the program itself)" if helpers else "")
             )
-    free, needed = free_disk(folder), estimate.disk * runs
-    if free is not None and needed > TRUST * free:
-        largest = max(estimate.stages, key=lambda stage: stage.cost.disk if stage.cost else 0.0)
-        raise ResourceError(
-            f"not enough disk: about {format_bytes(needed)} would be written; "
-            f"free where {str(folder)!r} lies are {format_bytes(free)}",
-            hint=f"choose another place with -o; {largest.advice or 'use a coarser resolution'}",
-            where=largest.step.where,
-            stage=largest.step.address,
+            hint = stage.advice or "use a coarser resolution or a smaller part"
+            return [ResourceError(message, hint=hint, where=stage.step.where, stage=stage.step.address)]
+    free, needed = free_disk(folder), sum(estimate.disk for estimate in estimates) / len(estimates) * runs
+    if free is not None and needed > MAX_OVERESTIMATE * free:
+        largest = max(
+            (stage for estimate in estimates for stage in estimate.stages),
+            key=lambda stage: stage.cost.disk if stage.cost else 0.0,
         )
+        message = (
+            f"not enough disk: about {format_bytes(needed)} would be written; "
+            f"free where {str(folder)!r} lies are {format_bytes(free)}"
+        )
+        hint = f"choose another place with -o; {largest.advice or 'use a coarser resolution'}"
+        return [ResourceError(message, hint=hint, where=largest.step.where, stage=largest.step.address)]
+    return []

@@ -1,11 +1,11 @@
-"""What a plan takes from elsewhere: files that must be there, and columns that the table of a sweep can have."""
+"""Inputs of a plan from elsewhere: files that must exist, and columns and files that a sweep can have."""
 
 from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePath
 
 from sppm_pipeline.engine.config.options import Option, options_of
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, nearest, shown
@@ -18,17 +18,16 @@ OWN_COLUMNS = ("run", "status", "error")
 """Columns of a sweep's table besides the parameters and the numbers of stages."""
 
 
-def missing_inputs(plan: Plan, until: str | None = None) -> Problems:
+def missing_inputs(plan: Plan, steps: Sequence[Step]) -> Problems:
     """An error for each input file that is not there or would be read without end, of the stages that run.
 
     Parameters
     ----------
     plan : Plan
-    until : str, optional
-        Id of the last stage of the pipeline to run.
+    steps : sequence of Step
+        Those of its pipeline that run; after all of them, the stages of `after` do.
     """
-    last = until if until in [step.id for step in plan.steps] else None  # a row of a sweep may have other stages
-    used = list(plan.until(last)) + list(plan.after if last is None else ())
+    used = [*steps, *(plan.after if len(steps) == len(plan.steps) else ())]
     handed: dict[str, None] = {}
     for step in used:  # which grows by the stages of the recipes that these are handed
         new = [name for name in dict.fromkeys(step.recipes.values()) if name not in handed]
@@ -47,14 +46,14 @@ def missing_inputs(plan: Plan, until: str | None = None) -> Problems:
 
 
 def _near(path: Path) -> str | None:
-    """What may have been meant by a path that is not there."""
+    """Hint for a path that does not exist."""
     if not path.parent.is_dir():
         return f"there is no folder {str(path.parent)!r} either; paths start from the folder of the file"
     return did_you_mean(path.name, [other.name for other in path.parent.iterdir() if other.suffix == path.suffix])
 
 
-class Columns:
-    """Which columns the table of a sweep can have, as far as stages and the types of their results declare it.
+class TableNames:
+    """Names that the table of a sweep can have: columns, as far as stages declare numbers, and files of its runs.
 
     Parameters
     ----------
@@ -65,6 +64,7 @@ class Columns:
     def __init__(self, parameters: tuple[str, ...]) -> None:
         self._own = (*OWN_COLUMNS, *parameters)
         self._numbers: dict[str, frozenset[str] | None] = {}
+        self._files: set[str] | None = set()
 
     def add(self, plan: Plan) -> None:
         """The plan of a row; rows may choose other stages and recipes."""
@@ -72,22 +72,35 @@ class Columns:
             found = declared_numbers(type(step.stage), step.owner.builtin, step.makes)
             before = self._numbers.get(step.id, found)
             self._numbers[step.id] = None if found is None or before is None else before | found
+        recipes = [step for steps in plan.recipes.values() for step in steps]
+        for step in (*plan.steps, *recipes):
+            if not step.owner.builtin:  # a plugin's stage may name its files as it likes
+                self._files = None
+            elif self._files is not None:
+                self._files |= {str(value) for option, value in _values(step) if option.spec.output and value}
 
     def impossible(self, plan: Plan) -> Problems:
-        """An error for each column of the sweep's table that stages of `after` name and no run can make."""
-        return [
-            _error(step, option, f"the table has no column {shown(value)}", self._hint(str(value)))
-            for step in plan.after
-            if SWEEP_ID in step.inputs.values()
-            for option, value in _values(step)
-            if option.spec.column and value and not self._has(str(value))
-        ]
+        """An error for each column or file that stages of `after` name and no run can make."""
+        problems: Problems = []
+        for step in plan.after:
+            for option, value in _values(step) if SWEEP_ID in step.inputs.values() else ():
+                name = str(value)
+                if option.spec.column and value and not self._has_column(name):
+                    problems.append(_error(step, option, f"the table has no column {shown(name)}", self._hint(name)))
+                elif option.spec.run_file and value and not self._has_file(name):
+                    hint = did_you_mean(name, self._files or ()) or "`path` of a stage of the pipeline names a file"
+                    problems.append(_error(step, option, f"no run writes a file {shown(name)}", hint))
+        return problems
 
-    def _has(self, column: str) -> bool:
+    def _has_column(self, column: str) -> bool:
         ids = [id_ for id_ in self._numbers if column.startswith(f"{id_}.")]
         return column in self._own or any(
             (declared := self._numbers[id_]) is None or is_declared(column[len(id_) + 1 :], declared) for id_ in ids
         )
+
+    def _has_file(self, name: str) -> bool:
+        """True if an option names it; or begins its name, as some stages write further files beside the one."""
+        return self._files is None or any(name.startswith(str(PurePath(file).with_suffix(""))) for file in self._files)
 
     def _hint(self, column: str) -> str:
         numbers = sorted(f"{id_}.{name}" for id_, names in self._numbers.items() for name in names or ())
@@ -123,7 +136,7 @@ def declared_numbers(cls: type[Stage], builtin: bool, makes: tuple[type, ...]) -
 
 
 def is_declared(number: str, declared: frozenset[str]) -> bool:
-    """Whether a place in a summary is among those of `declared_numbers`."""
+    """True if a place in a summary is among those of `declared_numbers`."""
     return number in declared or any(place.endswith("*") and number.startswith(place[:-1]) for place in declared)
 
 

@@ -31,7 +31,7 @@ class Distribution(NamedTuple):
 
 
 class EntryPoint(NamedTuple):
-    """What a distribution offers to a program: a name, and ``module`` or ``module:attribute``."""
+    """An entry point of a distribution: a name, and ``module`` or ``module:attribute``."""
 
     name: str
     value: str
@@ -54,7 +54,8 @@ class EntryPoint(NamedTuple):
 
 
 def normal(name: str) -> str:
-    """A name as it is compared: those of distributions do not tell ``-``, ``_`` and ``.`` apart, nor case."""
+    """A normalized name: ``-``, ``_`` and ``.`` are equal in names of distributions, and so are upper and lower
+    case."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -91,7 +91,7 @@ class Drafts(NamedTuple):
     groups : dict of name to list of Draft or None
         Of each recipe, the pipeline and `after`; None stands for a stage that is unknown.
     unread : set of Position
-        Places of values that could not be told; further errors there would only be consequences.
+        Places of values that could not be read; further errors there would only be consequences.
     renamed, unused : tuple of str
         Warnings of former names and of parameters that nothing refers to.
     single : bool
@@ -146,8 +146,6 @@ def draft_plan(
 
     Raises
     ------
-    ConfigError
-        If parameters make the document too large.
     PluginError
         If a stage breaks its contract.
     """
@@ -228,8 +226,8 @@ def wire_plan(drafts: Drafts, available: Mapping[str, tuple[type, ...]] | None =
         after, loose = wire(groups[_AFTER], recipes, {SWEEP_ID: (table,)})
         problems += loose
     inner = {name: wired.steps for name, wired in recipes.items()}
-    problems += clashes(_claims([*pipeline.steps, *(step for steps in inner.values() for step in steps)]))
-    problems += clashes(_claims(after.steps))
+    in_run = [*pipeline.steps, *(step for steps in inner.values() for step in steps)]
+    problems += [*clashes(_claims(in_run)), *clashes(_claims(after.steps))]
     warnings = [*drafts.renamed, *drafts.unused]
     everything = [step for steps in (pipeline.steps, after.steps, *inner.values()) for step in steps]
     # where a parameter says which recipe a stage is handed, the others are there to be chosen
@@ -255,14 +253,16 @@ def wire_plan(drafts: Drafts, available: Mapping[str, tuple[type, ...]] | None =
     return plan, [one for one in problems if one.where not in drafts.unread]
 
 
-def _claims(steps: Iterable[Step]) -> Iterator[tuple[str, str, Position]]:
+def _claims(steps: Iterable[Step]) -> list[tuple[str, str, Position]]:
     """The outputs that options name: stage, name, place."""
+    claims = []
     for step in steps:
         for name, option in options_of(type(step.stage)).items():
             value = getattr(step.stage, name)
             if option.spec.output and value is not None:
                 written = step.entry.options.get(name)
-                yield step.address, value, written.node.where if written else step.where
+                claims.append((step.address, value, written.node.where if written else step.where))
+    return claims
 
 
 _PIPELINE = ""

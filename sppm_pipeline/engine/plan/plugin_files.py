@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _IMPORTING = threading.Lock()
 
 _SINGLE = "sppm_plugin_"
-"""What the names of modules begin with that are single files."""
+"""Prefix of the names of modules that are single files."""
 
 
 def import_file(path: Path) -> ModuleType:
@@ -63,7 +63,7 @@ def _line_in(error: Exception, path: Path) -> str:
 
 
 def is_single_file(module: object) -> TypeGuard[ModuleType]:
-    """Whether this is a module that `import_file` has imported."""
+    """True if this is a module that `import_file` has imported."""
     return isinstance(module, ModuleType) and module.__name__.startswith(_SINGLE)
 
 
@@ -83,7 +83,7 @@ def stage_classes(module: ModuleType) -> list[type[Stage]]:
 
 
 def incomplete_stages(module: ModuleType) -> list[str]:
-    """What the classes of a file still lack to be stages; what stages there are built upon lacks nothing."""
+    """Messages on classes of a file that lack something to be stages; bases of complete stages are left out."""
     from sppm_pipeline.stage import Stage
 
     found = []

@@ -49,7 +49,7 @@ def allowed_plugins(names: str | None = None) -> tuple[str, ...] | None:
 
 @dataclass
 class Plugin:
-    """Where stages, executors and verbs come from.
+    """A source of stages, executors and verbs.
 
     Attributes
     ----------
@@ -229,7 +229,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         plugin.error = BrokenContract(
             f"{plugin} was written for version {shown(written_for)} of the interface, this program has version "
             f"{hookspecs.API_VERSION}",
-            hint="install the version of the plugin that goes with this program, or leave it out with --allow-plugins",
+            hint="install the version of the plugin for this program, or leave it out with --allow-plugins",
         )
         return
     try:
@@ -282,7 +282,7 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
 
 
 def imported(plugin: Plugin, what: str, target: Any) -> Any:
-    """What a plugin supplies as ``"module:attribute"``, imported; anything else as it is.
+    """An object that a plugin supplies as ``"module:attribute"``, imported; anything else as it is.
 
     Raises
     ------
@@ -354,7 +354,7 @@ def _refuse_duplicates(plugins: list[Plugin]) -> None:
 
 
 def _hook_hint(module: Any) -> str | None:
-    """What a misspelt hook was meant to be."""
+    """Hint for a misspelt hook."""
     known = [name for name in vars(hookspecs) if name.startswith("sppm_")]
     for name in vars(module) if hasattr(module, "__dict__") else ():
         if name.startswith("sppm_") and name not in known:

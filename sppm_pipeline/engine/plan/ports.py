@@ -37,7 +37,7 @@ class Port:
 
     @property
     def is_recipe(self) -> bool:
-        """Whether it is handed a recipe and not an artifact."""
+        """True if it is handed a recipe and not an artifact."""
         return not self.types
 
     def place(self, number: int) -> str:
@@ -47,7 +47,7 @@ class Port:
 
 @dataclass(frozen=True)
 class Signature:
-    """What a stage takes and makes.
+    """Inputs and results of a stage.
 
     Attributes
     ----------
@@ -152,13 +152,13 @@ def _bound(variable: typing.TypeVar) -> Any:
 
 
 def fits(made: tuple[type, ...], port: Port) -> bool:
-    """Whether whatever a stage makes can go into `port`."""
+    """True if whatever a stage makes can go into `port`."""
     wanted = (*port.types, types.NoneType) if port.optional else port.types
     return bool(made) and made != (types.NoneType,) and all(issubclass(member, wanted) for member in made)
 
 
 def port_words(port: Port) -> str:
-    """What a port takes, in words."""
+    """The artifacts of a port in words."""
     return f"{'one or more of ' if port.many else ''}{artifact_words(port.types)}"
 
 

@@ -1,4 +1,4 @@
-"""The stages there are, by name; a stage's module is imported when somebody uses the stage."""
+"""The stages there are, by name; a stage's module is imported when the stage is first used."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Registry:
         return self._classes[name]
 
     def _hint(self, name: str) -> tuple[str, bool]:
-        """What to do about a name that is not known, and whether it resembles one that is."""
+        """Hint for an unknown name, and whether it resembles a known one."""
         family, _, word = name.partition(".")
         siblings = [known for known in self if known.startswith(f"{family}.")]
         near = [f"{family}.{found}" for found in nearest(word, [known.partition(".")[2] for known in siblings])]

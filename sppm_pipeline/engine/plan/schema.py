@@ -14,7 +14,7 @@ from sppm_pipeline.engine.config.presets import KEY
 from sppm_pipeline.engine.plan.describe import purpose_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.nouns.length import UNITS_IN_MM, Length
+from sppm_pipeline.nouns.length import CELL_UNIT, UNITS_IN_MM, Length
 from sppm_pipeline.stage import OptionSpec, Stage, StageAlias
 
 _NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
@@ -149,7 +149,7 @@ def _kinds(kind: Any, spec: OptionSpec) -> list[dict[str, Any]]:
         if value is not None
     }
     if kind is Length:
-        units = "|".join(UNITS_IN_MM)
+        units = "|".join((*UNITS_IN_MM, CELL_UNIT) if spec.unit == "cell size" else UNITS_IN_MM)
         return [{"type": "number", **bounds}, {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*({units})?\s*$"}]
     if kind in (int, float):
         return [{"type": "integer" if kind is int else "number", **bounds}]

@@ -14,12 +14,10 @@ from sppm_pipeline.engine.config.configuration import Configuration, parse_confi
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, read_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, raise_problems
-from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
-from sppm_pipeline.engine.plan.inputs import Columns, missing_inputs
 from sppm_pipeline.engine.plan.planning import Plan, draft_plan, wire_plan
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
-from sppm_pipeline.engine.plan.rates import Speed
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.trust import UntrustedError, untrusted
 from sppm_pipeline.errors import ConfigError
 
 
@@ -47,9 +45,13 @@ def find_configuration(name: str) -> Path:
     raise ConfigError(f"there is no configuration {name!r}", hint=hint)
 
 
+Row = Mapping[str, Entry]
+"""Values of a row of a sweep, by parameter."""
+
+
 @dataclass(frozen=True)
 class RunRequest:
-    """What to run and how, in plain picklable values.
+    """A configuration to run and how to run it, in plain picklable values.
 
     Attributes
     ----------
@@ -70,6 +72,8 @@ class RunRequest:
         The configuration as plain Python values, instead of a file; see `compose`.
     folder : str or None
         Folder that relative paths in `text` or `document` start from; the current folder if None.
+    trusted : bool
+        Whether the user has agreed to run whatever Python files the configuration names.
     """
 
     file: str
@@ -81,14 +85,16 @@ class RunRequest:
     text: str | None = None
     document: Mapping[str, Any] | None = field(default=None, hash=False)
     folder: str | None = None
+    trusted: bool = False
 
     def absolute(self) -> RunRequest:
         """The same for another process in another folder: the text of the configuration, which keeps its name."""
+        # a worker can't ask the user, and runs what was agreed to here
         plugins = tuple(str(Path(path).absolute()) for path in self.plugins)
         if self.text is None and self.document is None:
             text, folder = yaml_text(Path(self.file)), Path(self.file).parent
-            return replace(self, plugins=plugins, text=text, folder=os.path.abspath(folder))
-        return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."))
+            return replace(self, plugins=plugins, text=text, folder=os.path.abspath(folder), trusted=True)
+        return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."), trusted=True)
 
     def read(self) -> tuple[Configuration, Problems]:
         """The configuration that is asked for, without the sweep axes that overrides fix.
@@ -129,16 +135,18 @@ class Session:
     unread: Problems = field(default_factory=list)
 
     def plan(self, row: Row | None = None) -> Plan:
-        """Plan the run, or one row of its sweep; see `planned`.
+        """Plan the run, or one row of its sweep.
 
         Raises
         ------
         ConfigError
             With all that is wrong.
+        PluginError
+            If a stage breaks its contract.
         """
-        plan, problems = planned(self, row)
-        raise_problems(problems)
-        assert plan is not None
+        drafts, unfit = draft_plan(self.configuration, self.registry, self.request.overrides, row)
+        plan, loose = wire_plan(drafts)
+        raise_problems([*self.unread, *unfit, *loose])
         return plan
 
     @cached_property
@@ -160,125 +168,19 @@ def open_session(request: RunRequest) -> Session:
     Raises
     ------
     ConfigError, PluginError
+        `UntrustedError` if the configuration names Python files that the user has not agreed to run: neither as
+        `RunRequest.trusted` and `RunRequest.plugins` say nor by name in `RunRequest.allowed`, nor by `trust.trust`.
     """
     configuration, unread = request.read()
     files = [Path(path) for path in request.plugins]
     if request.distributions:
-        files += [path for path in configuration.plugins if request.allowed is None or path.name in request.allowed]
+        named = [path for path in configuration.plugins if request.allowed is None or path.name in request.allowed]
+        agreed = request.trusted or request.allowed is not None
+        given = {path.resolve() for path in files}
+        if not agreed and (unknown := untrusted(path for path in named if path.resolve() not in given)):
+            raise UntrustedError(unknown)
+        files += named
     names = None if request.allowed is None else [name for name in request.allowed if not name.endswith(".py")]
     plugins = load_plugins(request.builtins, files=files, distributions=request.distributions, allowed=names)
     plugins.raise_broken()
     return Session(request, configuration, plugins, Registry(plugins), unread)
-
-
-Row = Mapping[str, Entry]
-
-MAX_CHECKED = 1000
-"""Rows that are planned before any work."""
-
-MAXIMUM_ROWS = 50
-"""Rows of a sweep that are estimated; of more, evenly spread ones stand for all."""
-
-
-def planned(session: Session, row: Row | None = None) -> tuple[Plan | None, Problems]:
-    """The plan of the run, or of one row of its sweep; None if anything is wrong.
-
-    Raises
-    ------
-    PluginError
-        If a stage breaks its contract.
-    """
-    try:
-        drafts, unfit = draft_plan(session.configuration, session.registry, session.request.overrides, row)
-    except ConfigError as error:
-        return None, [error]
-    plan, loose = wire_plan(drafts)
-    problems = [*session.unread, *unfit, *loose]
-    return None if problems else plan, problems
-
-
-def checked(session: Session, until: str | None = None, *, inputs: bool = True) -> tuple[Plan, Sequence[Row]]:
-    """The plan and the rows of its sweep, none if there is no sweep; unless `inputs` is False, input files are there.
-
-    Raises
-    ------
-    ConfigError
-        With the errors of all of them.
-    """
-    plan, problems = planned(session)
-    rows: Sequence[Row] = []
-    if plan is not None:
-        try:
-            plan.until(until)
-            problems += missing_inputs(plan, until) if inputs else []
-        except ConfigError as error:
-            problems.append(error)
-    try:
-        rows = session.rows
-    except ConfigError as error:
-        problems.append(error)
-    if rows and plan is not None:
-        problems += sweep_problems(session, plan, rows, until, inputs=inputs)
-    raise_problems(problems)
-    assert plan is not None
-    return plan, rows
-
-
-def estimates(
-    session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None, speed: Speed | None = None
-) -> list[PlanEstimate]:
-    """The estimate of the plan, or of the rows of its sweep."""
-    if not rows:
-        return [estimate_plan(plan, until=until, speed=speed)]
-    step = -(-len(rows) // MAXIMUM_ROWS)
-    return [estimate_plan(session.plan(row), until=until, speed=speed) for row in rows[::step]]
-
-
-def refuse_unfit(
-    session: Session,
-    plan: Plan,
-    rows: Sequence[Row],
-    folder: Path,
-    *,
-    workers: int = 1,
-    crew: int = 0,
-    until: str | None = None,
-) -> None:
-    """Raise `ResourceError` if the run or any of a sweep's can't fit into memory or onto the disk.
-
-    Of a sweep `workers` runs go at the same time; a single run may have a `crew` of worker processes on this machine.
-    """
-    found = estimates(session, plan, rows, until)
-    runs = max(1, len(rows))
-    for estimate in found:
-        refuse_what_cannot_fit(estimate, folder, workers=min(workers, runs), crew=0 if rows else crew)
-    if runs > 1:
-        total = sum(estimate.disk for estimate in found) / len(found) * runs
-        largest = max(found, key=lambda estimate: estimate.disk)
-        if largest.disk:
-            refuse_what_cannot_fit(largest, folder, runs=round(total / largest.disk) or 1)
-
-
-def sweep_problems(
-    session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None, *, inputs: bool = True
-) -> Problems:
-    """What is wrong with any value that occurs in a sweep, and with the columns that stages of `after` name.
-
-    In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
-    than `MAX_CHECKED` a part is tried.
-    """
-    sweep = session.configuration.sweep
-    columns = Columns(tuple(rows[0]))
-    problems: Problems = []
-    if sweep is not None and isinstance(sweep.value, dict):
-        first = rows[0]
-        rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
-    if len(rows) > MAX_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
-        rows = [*rows[: -1 : -(-len(rows) // MAX_CHECKED)], rows[-1]]
-    for row in rows:
-        one, wrong = planned(session, row)
-        problems += wrong
-        if one is not None:
-            columns.add(one)
-            problems += missing_inputs(one, until) if inputs else []
-    return problems or columns.impossible(plan)

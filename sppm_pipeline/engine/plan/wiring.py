@@ -105,7 +105,7 @@ Made = Mapping[str, tuple[type, ...] | None]
 
 
 def last_uses(steps: Sequence[Step]) -> list[set[str]]:
-    """For each step the ids whose results nobody needs after it."""
+    """For each step the ids whose results no later step needs."""
     last: dict[str, int] = {}
     for number, step in enumerate(steps):
         last[step.id] = number
@@ -213,14 +213,14 @@ def _unmet(draft: Draft, inputs: Mapping[str, str | None], steps: Sequence[Step]
 
 
 def makes_kind(step: Step, kind: type) -> bool:
-    """Whether whatever a stage makes is of a type."""
+    """True if whatever a stage makes is of a type."""
     return bool(step.makes) and all(issubclass(member, kind) for member in step.makes)
 
 
 def _chosen_sources(
     draft: Draft, signature: Signature, made: Made, later: Sequence[str]
 ) -> tuple[dict[str, str], Problems]:
-    """What `from` says: port or place -> id; ids that do not exist or do not fit are refused and left out."""
+    """The key `from`: port or place -> id; ids that do not exist or do not fit are refused and left out."""
     node, entry = draft.entry.sources, draft.entry
     if node is None:
         return {}, []
@@ -318,7 +318,7 @@ def _each(node: Node) -> list[Node]:
 def _handed_recipes(
     draft: Draft, signature: Signature, recipes: Mapping[str, Wired]
 ) -> tuple[dict[str, str], Problems]:
-    """What `recipe` says: port -> name of a recipe."""
+    """The key `recipe`: port -> name of a recipe."""
     ports = {port.name: port for port in signature.ports if port.is_recipe}
     needed = [name for name, port in ports.items() if not port.optional]
     entry, node = draft.entry, draft.entry.recipes

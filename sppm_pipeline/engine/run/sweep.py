@@ -16,9 +16,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import plain
-from sppm_pipeline.engine.config.problems import raise_problems
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
-from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session, sweep_problems
+from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session
 from sppm_pipeline.engine.process.activity import current, of_run, share
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.executors import default_executor, make_executor, serve
@@ -94,7 +93,6 @@ def run_sweep(
     monitor = monitor or Monitor()
     rows = session.rows
     plan.until(until)
-    raise_problems(sweep_problems(session, plan, rows, until))
     asked = _Asked(
         workers=workers,
         executor=executor or default_executor(workers),

@@ -131,7 +131,7 @@ _PLUGIN = "plugin "
 def _versions(distributions: tuple[str, ...]) -> dict[str, str]:
     """What results depend on besides the program."""
     plugins = {_PLUGIN + name: installed_version(name) or "not installed" for name in distributions}
-    return environment(distributions) | plugins
+    return environment(plugins=("sppm-pipeline", *distributions)) | plugins
 
 
 def _distributions(plugins: Plugins) -> tuple[str, ...]:

@@ -52,12 +52,12 @@ class PieceFile:
         self._pool: ThreadPoolExecutor | None = None
         self.whole = False
 
-    def begin(self, foreseen: ExpectedSize) -> bool:
+    def begin(self, predicted: ExpectedSize) -> bool:
         """See `PieceTaker.begin`."""
-        pieces = self._in_pieces(foreseen.vertices, foreseen.faces, foreseen.reach)
+        pieces = self._in_pieces(predicted.vertices, predicted.faces, predicted.reach)
         if pieces is None:
             return False
-        self._pieces, self._foreseen = pieces, foreseen
+        self._pieces, self._predicted = pieces, predicted
         self._digest = hashlib.sha256()
         self._file = self._path.open("xb+", buffering=0)
         self._pool = ThreadPoolExecutor(1) if self._threads > 1 else None
@@ -104,9 +104,9 @@ class PieceFile:
         """See `PieceTaker.finish`."""
         self._wait()
         assert self._file is not None
-        foreseen = self._foreseen
-        as_foreseen = (self._vertices, self._faces) == (foreseen.vertices, foreseen.faces)
-        if not as_foreseen or not self._pieces.fits(self._largest):
+        predicted = self._predicted
+        as_predicted = (self._vertices, self._faces) == (predicted.vertices, predicted.faces)
+        if not as_predicted or not self._pieces.fits(self._largest):
             return False
         if self._spool is not None:
             self._file.seek(self._size)
@@ -134,7 +134,7 @@ class PieceFile:
         return self._size
 
     def _spooled_triangles(self) -> Iterator[memoryview]:
-        """What comes behind of the triangles that have waited."""
+        """Bytes of the triangles that were held back, which follow the rest."""
         assert self._spool is not None
         spool, back = self._spool, self._pieces.back
         assert back is not None

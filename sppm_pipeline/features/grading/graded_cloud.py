@@ -22,7 +22,7 @@ from sppm_pipeline.features.grading.rounds import (
     scattered,
     trial,
 )
-from sppm_pipeline.method.families.tiler import HALO, ROOM, TOLD, Scattering, without_faces
+from sppm_pipeline.method.families.tiler import HALO, REPORTED_CELLS, TRIAL_BLOCKS, Scattering, without_faces
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
 from sppm_pipeline.method.part.part import Part
@@ -131,7 +131,7 @@ class GradedCloud:
         cells = self._cells_of(context, made, n, places.get(n))
         places[n] = cells.places
         # nothing is corrected after the last round: some cells, spread over all, show the remaining errors
-        some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // TOLD))
+        some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // REPORTED_CELLS))
         place = np.array(cells.cells)
         of = len(place[some])
 
@@ -234,7 +234,7 @@ class GradedCloud:
                 "the number of pores can't follow both the map 'spacing' and a porosity",
                 hint="leave one out; with a porosity the map `scale` makes pores finer",
             )
-        blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
+        blocks = Blocks(np.ones((TRIAL_BLOCKS,) * 3, bool), True)
         pores = scattered(context, self.wanted.recipe, None, 1, blocks).graph.pores
         if pores.spacing is None:
             raise ConfigError(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.local_porosity import error_summary
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve, porosity_curve
-from sppm_pipeline.method.families.interiors import FEWEST
-from sppm_pipeline.method.families.tiler import ROOM, without_faces
+from sppm_pipeline.method.families.interiors import MIN_PORES
+from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
@@ -113,8 +113,8 @@ def curve_of(
         try:
             found = probe(n) if n not in counts else float(np.mean(porosities[: counts.count(n)]))
             # near 0 and 1 more or fewer pores hardly change the porosity, and the curve has no inverse
-            while not enough(found) and 0.01 < found < 0.99 and n > FEWEST and len(counts) < MAX_COUNTS * trials:
-                n = max(FEWEST, round(n * factor))
+            while not enough(found) and 0.01 < found < 0.99 and n > MIN_PORES and len(counts) < MAX_COUNTS * trials:
+                n = max(MIN_PORES, round(n * factor))
                 found = probe(n)
         except DesignError as error:  # so many pores do not fit, or so few do not make faces
             return f": {error}"
@@ -199,7 +199,7 @@ def corrected(
     """Scattered blocks whose pores are kept, but for some at random in cells of too many, and added to in others.
 
     `cell` (n,) is the cell of each pore, -1 for none: a block, or whatever has a quota. `excess` (m,) is the number of
-    pores that each cell has too many, NaN where it is unknown; no cell falls below `FEWEST`.
+    pores that each cell has too many, NaN where it is unknown; no cell falls below `MIN_PORES`.
     """
     change = -np.rint(np.nan_to_num(excess)).astype(np.int64)
     order = np.argsort(cell, kind="stable")
@@ -207,7 +207,7 @@ def corrected(
     keep = np.ones(len(cell), bool)
     for own in np.flatnonzero(change < 0).tolist():
         begin, end = int(first[own]), int(first[own + 1])
-        fewer = min(-int(change[own]), max(0, end - begin - FEWEST))
+        fewer = min(-int(change[own]), max(0, end - begin - MIN_PORES))
         # at random, so that what is left is as irregular as before
         keep[order[begin + context.rng(number, own).permutation(end - begin)[:fewer]]] = False
     kept = KeptPores(pores.centers[keep], pores.piece[keep])
@@ -221,7 +221,7 @@ def scattered(context: Context, recipe: Recipe, total: int | None, attempt: int,
 
 def of_scattered_boxes(context: Context, recipe: Recipe, resolution: int) -> Callable[[int, int], float]:
     """For `curve_of`: the porosity of a box of scattered blocks that repeats."""
-    blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
+    blocks = Blocks(np.ones((TRIAL_BLOCKS,) * 3, bool), True)
 
     def porosity(n: int, attempt: int) -> float:
         tiling = without_faces(scattered(context, recipe, n, attempt, blocks), blocks, 0, None, (0.0, 0.0, 0.0))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.services.pictures.shading import Color
 from sppm_pipeline.services.pictures.sheets import contact_sheet
 
@@ -24,7 +25,7 @@ MARKS: tuple[tuple[str, Color], ...] = (
 _PANEL = 460
 
 _VIEW = 320
-"""Pixels along the side of the picture of an orientation: a choice."""
+"""Pixels along the side of the picture of an orientation: six of them fill the width of a screen."""
 
 
 def marked_layer(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -44,7 +45,7 @@ def marked_sheet(
     pixel : (float, float)
         Pitch along x and y; the pictures are shown in its ratio.
     columns : mapping of str to (n,) array
-        The curves of the report, of which the areas are told.
+        The curves of the report, whose areas are shown.
     """
     from PIL import Image, ImageDraw  # only pictures with text need Pillow
 
@@ -57,12 +58,12 @@ def marked_sheet(
         size = (max(1, round(nx * scale)), max(1, round(ny * pixel[1] / pixel[0] * scale)))
         way = Image.Resampling.BOX if scale < 1 else Image.Resampling.NEAREST
         pictures.append(np.asarray(Image.fromarray(marked_layer(codes)).resize(size, way)))
-        told = [
+        areas = [
             f"{word} {columns[name][k]:.3g} mm^2"
             for word, name in (("sealed", "sealed_mm2"), ("floating", "floating_mm2"), ("overhang", "overhang_mm2"))
             if columns[name][k]
         ]
-        labels.append(f"layer {k} ({columns['top_mm'][k]:.4g} mm): {', '.join(told)}")
+        labels.append(f"layer {k} ({columns['top_mm'][k]:.4g} mm): {', '.join(areas)}")
     sheet = contact_sheet(pictures, labels, columns=min(3, len(pictures)), text_size=15)
     legend = Image.new("RGB", (sheet.shape[1], 44), (255, 255, 255))
     pen, x = ImageDraw.Draw(legend), 20
@@ -135,3 +136,19 @@ def orientations_sheet(
         f"Voxels of {voxel:.3g} mm hide what is thinner"
     )
     return contact_sheet(pictures, labels, columns=6, title=title, gap=16, text_size=17)
+
+
+def drains_sheet(part: SurfaceMesh, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """A part from two opposite sides, above and below, with the plugs (n, 3), (m, 3) of its drains in color."""
+    from sppm_pipeline.services.pictures.camera import Camera
+    from sppm_pipeline.services.pictures.mesh_view import render_mesh
+
+    points = np.concatenate([part.vertices, vertices])
+    triangles = np.concatenate([part.faces, faces + len(part.vertices)])
+    colors = np.repeat([MARKS[1][1], MARKS[5][1]], [len(part.faces), len(faces)], axis=0).astype(np.uint8)
+    views = [Camera(azimuth, elevation) for azimuth in (-60.0, 120.0) for elevation in (25.0, -25.0)]
+    pictures = [
+        render_mesh(points, triangles, camera=view, size=(_PANEL, _PANEL), face_colors=colors) for view in views
+    ]
+    labels = [f"{'above' if view.elevation > 0 else 'below'}, from {view.azimuth:g} degrees" for view in views]
+    return contact_sheet(pictures, labels, columns=2, text_size=15)

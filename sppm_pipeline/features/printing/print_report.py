@@ -1,4 +1,4 @@
-"""What a printer makes of a stack of layers, in millimeters: numbers, events, curves over the height, and rules."""
+"""Report on a stack of layers, in millimeters: numbers, events, curves over the height, and rules."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ MEASURES: Mapping[str, Measure] = {
     "adhesion": Measure("adhesion", "", "first layer over the largest one", "<"),
     "margin": Measure("foot_margin_mm", "mm", "distance of the center of mass from the edge of the foot", "<"),
 }
-"""What `fail:` may name."""
+"""Names that `fail:` accepts."""
 
 _RULE = re.compile(r"\s*([a-z_]+)\s*(?:([<>])\s*(-?[0-9.]+(?:e-?[0-9]+)?)\s*([a-z0-9]*)\s*)?")
 
@@ -62,7 +62,7 @@ class Rule(NamedTuple):
     threshold: float
 
     def broken_by(self, numbers: Mapping[str, Any]) -> str | None:
-        """What is wrong by this rule; None if nothing is, or if the number is not known."""
+        """Violation of this rule in words; None if there is none, or if the number is not known."""
         value = numbers.get(self.measure.number)
         if value is None or not (value > self.threshold if self.measure.sign == ">" else value < self.threshold):
             return None
@@ -104,7 +104,7 @@ def parse_rule(text: str, measures: Mapping[str, Measure] = MEASURES) -> Rule:
 
 @dataclass(frozen=True, eq=False)
 class PrintReport:
-    """What was found in a stack of layers.
+    """Results of a check of a stack of layers.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ def _plain(value: Any) -> Any:
 
 
 def trapped(numbers: Mapping[str, Any]) -> str:
-    """What stays in traps, in words."""
+    """Summary of the traps in words."""
     traps, largest = numbers["traps"], numbers["largest_trap_mm3"]
     most = f" (the largest {largest:.4g})" if traps > 1 else ""
     return f"{_count(traps, 'resin trap')} of {numbers['trap_mm3']:.4g} mm3{most}"

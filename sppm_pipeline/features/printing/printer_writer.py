@@ -19,11 +19,12 @@ from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.stage import Context, Headline, option
 
 PREVIEW_SAMPLES = 128
-"""Samples along the longest side of the part for its picture in the file: a choice, some pixels of a thumbnail each."""
+"""Samples along the longest side of the part for its picture in the file, a heuristic: each covers some
+pixels of a thumbnail, and twice as many take eight times the time."""
 
 
 class Place(NamedTuple):
-    """Where a block of pixels stands in the picture that a printer exposes."""
+    """Place of a block of pixels in the picture that a printer exposes."""
 
     top: int
     left: int
@@ -239,12 +240,12 @@ class PrinterWriter(LayerWriter):
 
     def facts(self, stack: SliceStack, findings: dict[str, Any]) -> dict[str, Any]:
         job = self.job(stack, findings)
-        told = {
+        facts = {
             "printer": job.printer.name, "resin": job.resin.name, "resin_measured": job.resin.measured,
             "resin_ml": job.milliliters, "resin_g": job.grams, "print_time_s": job.seconds,
             "verified_on_hardware": job.printer.verified_on_hardware,
         }  # fmt: skip
-        return told if job.price is None else {**told, "resin_price": job.price}
+        return facts if job.price is None else {**facts, "resin_price": job.price}
 
     def job(self, stack: SliceStack, findings: dict[str, Any]) -> Job:
         """All about the print; `findings` are those of the layers once all were taken."""

@@ -63,14 +63,14 @@ def voxels_along_edge(field: ScalarField, resolution: int | None, voxel: Length 
 
 
 def expected_voxels(edge_mm: float | None, resolution: int | None, voxel: Length | None) -> int:
-    """What `voxels_along_edge` will say of a field with this cell size."""
+    """Result of `voxels_along_edge` for a field with this cell size."""
     if voxel is None or not edge_mm:
         return resolution or 32
     return math.ceil(edge_mm / voxel.mm() - 1e-9)
 
 
 def on_torus(field: ScalarField) -> bool:
-    """Whether a field is a lone periodic cell, of which what touches a face goes on at the opposite one."""
+    """Return whether a field is a single periodic cell, which continues across opposite faces."""
     return field.periodic and field.cells == (1, 1, 1) and not isinstance(field, Part)
 
 
@@ -124,14 +124,14 @@ class SampledSlabs:
         What was removed.
     expected : (int, int)
         About how many vertices and triangles the surface will have; zeros if that is not known.
-    foresee : function or None
-        Finds out what is certain of the mesh; None if nothing is.
+    predict : function or None
+        Predicts counts and box of the mesh; None if they cannot be known.
     """
 
     slabs: Iterator[SampledSlab]
     findings: dict[str, Any] = field(default_factory=dict)
     expected: tuple[int, int] = (0, 0)
-    foresee: Callable[[], ExpectedSize] | None = None
+    predict: Callable[[], ExpectedSize] | None = None
 
     def __iter__(self) -> Iterator[SampledSlab]:
         return self.slabs
@@ -146,9 +146,9 @@ class FieldSurface:
     source : ScalarField
     grid : Grid
         Nodes, cell sizes.
-    islands : {"remove", "keep"}
+    islands : {"auto", "remove", "keep"}
         Whether solid that is not connected, across faces of voxels around the nodes, to the largest component is left
-        out. On the grid of a lone periodic cell components are found on the torus, so that opposite faces stay equal.
+        out. On the grid of a single periodic cell components are found on the torus, so that opposite faces stay equal.
     caps : bool
         Whether the surface is closed where the solid meets the border of the grid.
     cut : bool
@@ -158,7 +158,7 @@ class FieldSurface:
 
     source: ScalarField
     grid: Grid
-    islands: str = "remove"
+    islands: str = "auto"
     caps: bool = True
     cut: bool = True
 
@@ -198,8 +198,8 @@ class FieldSurface:
     def stream(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> MeshStream:
         """The mesh in pieces; memory is that of some slabs, and of the points on rims.
 
-        With more than one thread, triangles are made of a piece, vertices of the pieces before are moved, and whoever
-        takes the pieces works on those that are done, all at once.
+        With more than one thread, triangles are made of a piece, vertices of the pieces before are moved, and the
+        consumer works on those that are done, all at the same time.
         """
         slabs, rims = self.slabs(max(1, threads - 2)), RimPoints()  # the others are at work on what is sampled
         flat = computed_ahead(self._flat_pieces(slabs, rims, progress), threads)
@@ -242,7 +242,7 @@ class FieldSurface:
         def values() -> Iterator[NDArray[np.float32]]:
             # a piece ends a plane before its planes do, and what is done to it looks two planes back
             nonlocal start, crossings
-            for sampled in _told(slabs, nz, progress):
+            for sampled in _with_progress(slabs, nz, progress):
                 slab = self._smooth(sampled)
                 fields = (slab.values,) if slab.apart is None else slab.apart
                 back = tuple(field[-PLANES_BACK:] for field in planes[0]) if planes else tuple(f[:0] for f in fields)
@@ -283,11 +283,12 @@ class FieldSurface:
                 before = placed
 
     def slabs(self, threads: int = 1) -> SampledSlabs:
-        """The samples, without islands if they are to be removed, which is found out in a pass of its own."""
+        """The samples, without islands if they are to be removed, which takes a pass of its own."""
         if self.islands == "keep":
             return SampledSlabs(computed_ahead(self._sampled(threads), threads))
         from sppm_pipeline.method.connectivity.components import components_of_runs
         from sppm_pipeline.method.connectivity.islands import negate_runs
+        from sppm_pipeline.method.connectivity.removal import check_removal
         from sppm_pipeline.method.connectivity.runs import find_runs, stack_runs
 
         # on the torus the last node of an axis is the first one
@@ -304,6 +305,8 @@ class FieldSurface:
                 kept.append(slab)
         found = components_of_runs(stack_runs(runs), (torus,) * 3)
         total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
+        removed = (total - largest) / max(1, total)
+        check_removal(removed, self.islands, finer="finer voxels")
         # the two ends of a run are vertices, and the surface crosses the edges of the other two directions as often;
         # reserved memory costs nothing until it is used
         vertices = int(1.05 * 6 * found.runs.n_runs)
@@ -311,10 +314,10 @@ class FieldSurface:
         rows, bounds = solid_runs.rows, solid_runs.bounds
         del found
 
-        def foresee() -> ExpectedSize:
+        def predict() -> ExpectedSize:
             from sppm_pipeline.features.surface.numerics.run_counts import count_mesh
 
-            return self._foreseen(*count_mesh(solid_runs, stays, self.caps, threads))
+            return self._predicted(*count_mesh(solid_runs, stays, self.caps, threads))
 
         def cleaned() -> Iterator[SampledSlab]:
             for slab in _emptied(kept) if keep else computed_ahead(self._sampled(threads), threads):
@@ -323,11 +326,10 @@ class FieldSurface:
                 yield slab
 
         # the rims of a part have more points, and on the torus solid at the border is counted once
-        certain = None if torus or isinstance(self.source, Part) else foresee
-        findings = {"removed_share": (total - largest) / max(1, total)}
-        return SampledSlabs(cleaned(), findings, (vertices, 2 * vertices), certain)
+        certain = None if torus or isinstance(self.source, Part) else predict
+        return SampledSlabs(cleaned(), {"removed_share": removed}, (vertices, 2 * vertices), certain)
 
-    def _foreseen(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> ExpectedSize:
+    def _predicted(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> ExpectedSize:
         """Of a mesh whose solid nodes lie in this box: it ends within a voxel, or where it is capped."""
         origin, spacing, last = np.array(self.grid.origin), np.array(self.grid.spacing), np.array(self.grid.shape) - 1
         least = origin + np.array([low, high]) * spacing
@@ -347,7 +349,7 @@ class FieldSurface:
 
         if not isinstance(self.source, Part):
             values = self.source.sample_zyx(self.grid, start, stop, threads)
-            # they are changed on the way; sums of kernels are made anew, what others hand out may be their own
+            # they are changed on the way; sums of kernels are new arrays, those of other fields may be kept by them
             values = values if self.source.sum_level is not None else values.copy()
             return SampledSlab(start, values, None, NO_CROSSINGS)
         if self.cut:
@@ -400,7 +402,7 @@ def _from_plane(old: Crossings, start: int, grid: Grid, new: Crossings) -> Cross
     return new._replace(edge=edge, share=share, triangle=np.concatenate([old.triangle[first:], new.triangle]))
 
 
-def _told(
+def _with_progress(
     slabs: Iterable[SampledSlab], planes: int, progress: Callable[[float, float], None] | None
 ) -> Iterator[SampledSlab]:
     for slab in slabs:

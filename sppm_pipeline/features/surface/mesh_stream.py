@@ -1,4 +1,4 @@
-"""A mesh that comes in pieces, as whoever extracts one yields it, and the points on its rims."""
+"""A mesh that comes in pieces, as it is extracted, and the points on its rims."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MeshPiece(NamedTuple):
 
 
 class Source(Protocol):
-    """What a mesh is extracted from."""
+    """Source of a mesh stream."""
 
     @property
     def expected(self) -> tuple[int, int]:
@@ -42,11 +42,11 @@ class Source(Protocol):
 
     @property
     def findings(self) -> dict[str, Any]:
-        """What was removed."""
+        """Removed solid and other findings."""
 
     @property
-    def foresee(self) -> Callable[[], ExpectedSize] | None:
-        """Finds out what is certain of the mesh; None if nothing is."""
+    def predict(self) -> Callable[[], ExpectedSize] | None:
+        """Predicts counts and box of the mesh; None if they cannot be known."""
 
 
 class MeshStream:
@@ -80,12 +80,12 @@ class MeshStream:
 
     @property
     def findings(self) -> dict[str, Any]:
-        """What was removed."""
+        """Removed solid and other findings."""
         return self._source.findings
 
-    def foreseen(self) -> ExpectedSize | None:
-        """What is certain of the mesh beforehand, which takes some time to find out; None if nothing is."""
-        return None if self._source.foresee is None else self._source.foresee()
+    def predicted(self) -> ExpectedSize | None:
+        """Predicted counts and box of the mesh, which take some time; None if they cannot be known."""
+        return None if self._source.predict is None else self._source.predict()
 
 
 class RimPoints:

@@ -30,7 +30,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class ManifoldLimits(NamedTuple):
-    """What one child may take.
+    """Limits of one child.
 
     Attributes
     ----------

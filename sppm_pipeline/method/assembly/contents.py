@@ -113,7 +113,7 @@ def connector_code(
 
 
 class PieceNumbers(NamedTuple):
-    """What is needed to tell the number of a piece; see `Pieces`."""
+    """Numbers by which the index of a piece is computed; see `Pieces`."""
 
     interiors: int
     colors: int

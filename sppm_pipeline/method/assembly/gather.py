@@ -142,6 +142,7 @@ def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
             at, own = first[filled] - first[0], begin + filled
             lower[own] = np.minimum(lower[own], np.minimum.reduceat(low, at, axis=0))
             upper[own] = np.maximum(upper[own], np.maximum.reduceat(high, at, axis=0))
+    # empty pieces keep an empty box, from infinity to minus infinity
     reaching = np.isfinite(lower).all(axis=1)
     least, most = (lower[reaching].min(axis=0), upper[reaching].max(axis=0)) if reaching.any() else (None, None)
     return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff, least, most)
@@ -178,6 +179,7 @@ def kernels_in_box(
     number = numbers[site, slot]
     z, y, x = np.unravel_index(site, sites.interior.shape)
     place = (sites.first + np.stack([x, y, z], axis=-1)).astype(np.float64)
+    # of whole pieces first: most of those around a box are ruled out by a single comparison
     near = np.flatnonzero(
         boxes_meet(catalog.lower.take(number, axis=0) + place, catalog.upper.take(number, axis=0) + place, lower, upper)
     )
@@ -255,8 +257,10 @@ def _move(
         k, own, meets = index[i], owner[i], True
         for axis in range(3):
             start, end = starts[k, axis] + place[own, axis], ends[k, axis] + place[own, axis]
+            # one reach for all axes, or one for each where kernels are stretched
             reach = half[i, min(axis, half.shape[1] - 1)]
             meets &= min(start, end) - reach <= upper[axis] and max(start, end) + reach >= lower[axis]
+            # written in any case, and overwritten by the next one if it does not meet the box
             moved_starts[count, axis], moved_ends[count, axis] = start, end
         if meets:
             kept[count] = k

@@ -58,14 +58,14 @@ def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 
 def row_spans_of_bits(bits: NDArray[np.uint64]) -> NDArray[np.int32]:
-    """`row_spans` of a mask of bits, (nz, ny, words), see `numerics.bit_rows`."""
+    """`row_spans` of a mask of bits, (nz, ny, words), see `services.bit_rows`."""
     spans = np.zeros((*bits.shape[:2], 2), np.int32)
     _bit_spans(bits, spans)
     return spans
 
 
 def spans_in_any(spans: NDArray[np.int32]) -> NDArray[np.int32]:
-    """What of each row lies in the span of any layer: (nz, ny, 2) int32 to (ny, 2); an empty row ends at 0.
+    """Union over the layers of the occupied span of each row: (nz, ny, 2) int32 to (ny, 2); an empty row ends at 0.
 
     An empty row begins beyond every sample, so that a minimum over rows leaves it out.
     """

@@ -89,7 +89,7 @@ def assemble_bits(
     threads: int = 1,
     wanted: NDArray[np.int32] | None = None,
 ) -> NDArray[np.uint64]:
-    """Where the field lies below a level: set = solid. No layer of the field is held in memory.
+    """Bits of the samples below a level: set = solid. No layer of the field is held in memory.
 
     Parameters and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid. Bits of
     what is not wanted are 0, or what they are.
@@ -103,7 +103,7 @@ def assemble_bits(
     Returns
     -------
     (layers, y1 - y0, words) uint64
-        The solid, see `numerics.bit_rows`; the first bit of a row is x0.
+        The solid, see `services.bit_rows`; the first bit of a row is x0.
     """
     layers, rows, columns = _shape(layer_start, layer_stop, x0, x1, y0, y1)
     if bank.solid_level is not None and level != bank.solid_level:
@@ -146,14 +146,17 @@ def _run(
     stop_site = -np.floor_divide(low - stop, bank.n).astype(np.int64)
     sites, begin, patches = patches_at(bank, tiling, first_site, stop_site)
     # The rows that are summed hold every patch whole; the last one may run over by a block.
+    # so that no patch has to be clipped at its low end, and the inner loop stays without a branch
     base = min(int(sites.first[0]) * bank.n + int(low[0]), corner[0])
     end = max(int(sites.stop[0] - 1) * bank.n + int(high[0]), int(stop[0]))
     width = end - base
     block_rows = max(1, _BLOCK_SAMPLES // width)
+    # about square in layers and rows: patches are added most often whole
     block_layers = max(1, min(layers, round(block_rows**0.5)))
     block_rows = max(1, min(rows, block_rows // block_layers))
     down, across = -(-layers // block_layers), -(-rows // block_rows)
     shape = np.array([layers, rows, columns])
+    # sums of 16-bit patches need more bits than these; exact integers don't depend on the order
     kind = np.float32 if bank.solid_level is None else np.int32
     if wanted is None:
         wanted = np.tile(np.array([0, columns], np.int32), (rows, 1))
@@ -192,6 +195,7 @@ def _run(
         )
 
     blocks = down * across
+    # four parts a thread even out what blocks differ in cost
     parts = min(blocks, 4 * threads) if threads > 1 else 1
     cuts = [blocks * i // parts for i in range(parts + 1)]
     share_out(work, map(range, cuts[:-1], cuts[1:]), threads)
@@ -218,6 +222,7 @@ def _add_rows(
     """
     for i in range(np.uint64(count)):
         low = x + int(row_low[row + i])
+        # whole blocks of sixteen on both sides: what lies beyond is summed in vain, but by vectors
         begin = max(first - low, 0) >> 4 << 4
         end = int(min(row_blocks[row + i] << 4, (stop - low + 15) >> 4 << 4))
         to = np.uint64(target + np.int64(i) * stride + low + begin)

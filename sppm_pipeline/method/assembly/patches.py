@@ -122,6 +122,7 @@ def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArra
     upper = np.concatenate([pore_upper, tunnel_upper]).max(axis=0)
     low = np.ceil(lower * n - offset).astype(np.int64)
     size = np.maximum(np.floor(upper * n - offset).astype(np.int64) + 1 - low, 1)
+    # rows of whole blocks, as the sums along x are made in blocks of sixteen samples
     size[0] = -(-size[0] // LANES) * LANES
     return low, size
 
@@ -209,7 +210,7 @@ def build_bank(
 
     def sampled(_: int) -> None:
         try:
-            p = next(numbers)  # not the caller's number, which an interrupt may lose when nobody has begun with it
+            p = next(numbers)  # not the caller's number, which an interrupt may lose before it is taken
             part = slice(first_row[p], first_row[p] + rows[p])
             table = row_low[part], row_blocks[part], row_start[part]
             try:
@@ -232,12 +233,14 @@ def build_bank(
             raise
         if begin is None:
             return
+        # rows were measured from 0 on; where the patch goes is known now
         table[2][:] += begin
         _copy_rows(dense.reshape(-1, size[p, 0]), int(low[p, 0]), *table, data)
         free.append(rooms)
 
     share_out(sampled, range(len(there)), threads)
     used = ends.last
+    # in place: a copy would hold the bank twice for a moment
     data.resize(used, refcheck=False)
 
     patch = np.full(len(kernels), -1, dtype=np.int32)
@@ -251,6 +254,7 @@ def build_bank(
         if merged
         else np.zeros(0)
     )
+    # sorted, so that a site finds its combination by bisection
     order = np.argsort(codes)
     return PatchBank(
         n,
@@ -305,6 +309,7 @@ def _measure(
         while dense[row, last] < threshold:
             last -= 1
         blocks = (last - first + LANES) // LANES
+        # whole blocks that would run over the end begin earlier, at samples that are there
         row_low[row] = low + min(first, nx - LANES * blocks)
         row_blocks[row] = blocks
         used += LANES * blocks
@@ -329,7 +334,7 @@ def _copy_rows(
 
 
 class _Ends:
-    """Where patches of unknown lengths end that lie one after the other, while threads find out how long they are."""
+    """Ends of consecutive patches whose lengths are determined by threads, in any order."""
 
     def __init__(self) -> None:
         self._known: dict[int, int] = {-1: 0}
@@ -337,7 +342,7 @@ class _Ends:
         self._given_up = False
 
     def take(self, number: int, length: int) -> int | None:
-        """Where a patch begins: when all before it have said how long they are; None if one of them never will."""
+        """Start of a patch, once the lengths of all before it are known; None if one of them failed."""
         with self._changed:
             self._changed.wait_for(lambda: self._given_up or number - 1 in self._known)
             if self._given_up:
@@ -348,7 +353,7 @@ class _Ends:
         return begin
 
     def give_up(self) -> None:
-        """Nobody waits any more."""
+        """Release all waiting threads after a failure."""
         with self._changed:
             self._given_up = True
             self._changed.notify_all()

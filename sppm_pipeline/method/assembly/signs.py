@@ -1,4 +1,4 @@
-"""Whether the field of a tiling is solid, slab by slab of a grid: bounds decide most samples, kernels the rest."""
+"""Solid samples of a tiling, slab by slab of a grid: bounds decide most samples, kernels the rest."""
 
 from __future__ import annotations
 

@@ -79,11 +79,13 @@ def spanning_subgraph(
         raise DesignError(f"a clearance of {clearance} is not a distance", hint="give a number >= 0, or none")
     n = len(points)
     lower, upper = (int(bound) for bound in degree)
+    # refused here, before any search: an infeasible program takes the solver longest
     feasible_degrees(n, lower, upper, images=images_per_pair(period.tolist()), two_edge_connected=two_edge_connected)
     if n == 1:
         return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
     # connection alone asks for one tunnel at every pore, loops for two
     lower = max(lower, 2 if two_edge_connected else 1)
+    # no distance is below 0: the search for close pairs can be skipped
     clearance = clearance or None
     if mode == "greedy":
         return greedy_subgraph(

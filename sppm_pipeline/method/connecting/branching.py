@@ -40,6 +40,7 @@ def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack
         return None
     best = incumbent
     shortest = np.inf if best is None else float(program.cost[best].sum())
+    # depth first: of the branches that are kept, the last one is solved next
     first = DualSimplex(program.cost, program.allowed)
     branches, left = [first], _PROGRAMS
     while branches:
@@ -48,9 +49,11 @@ def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack
         if left < 0:
             return None
         if x is None:
+            # an abandoned linear program proves nothing, so that the search has to give up
             if branch.is_infeasible() or branch.lower_bound() >= shortest - slack:
                 continue
             return None
+        # prune: no solution of this branch is shorter than the best one by more than rounding
         bound = branch.lower_bound()
         if bound >= shortest - slack:
             continue
@@ -64,6 +67,7 @@ def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack
             continue
         # one that is undecided even where all of these cost nothing, as edges between pores at one place
         edge = int(np.argmax(np.where(undecided > _WHOLE, undecided * program.cost, -1.0)))
+        # the likelier value goes last onto the stack: good solutions come early, and prune the rest
         likely = float(x[edge] > 0.5)
         for value in (1.0 - likely, likely):
             branches.append(branch.copy())

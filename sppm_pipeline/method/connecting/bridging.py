@@ -49,6 +49,7 @@ def bridging_edges(
         inside, cells = wrapped(points, period)
         buckets = sorted_into_buckets(inside, period)
         if skipped is None:
+            # Numba compiles one version for a mask, not a second one for None
             skipped = np.zeros(len(points), np.bool_)
         while (parts := int(labels.max()) + 1) > 1:
             size = np.bincount(labels, minlength=parts)
@@ -58,6 +59,7 @@ def bridging_edges(
             bridges, shifts = canonical_edges(ends, turns + cells[ends[:, 0]] - cells[ends[:, 1]])
             found_edges.append(bridges)
             found_shifts.append(shifts)
+            # the components are the vertices of a small graph: only their labels are merged
             labels = component_labels(parts, labels[bridges])[labels]
     return canonical_edges(np.concatenate(found_edges), np.concatenate(found_shifts))
 

@@ -46,7 +46,7 @@ def sorted_into_buckets(points: NDArray[np.float64], period: NDArray[np.float64]
     """Sort points, of which those on periodic axes lie in [0, period), into buckets of about one point each."""
     lower = np.where(period > 0, 0.0, points.min(axis=0, initial=np.inf))
     extent = np.where(period > 0, period, points.max(axis=0, initial=-np.inf) - lower)
-    # a flat or lone set has no extent along some axis; one bucket will do there
+    # a flat set, or a single point, has no extent along some axis; one bucket will do there
     extent = np.maximum(extent, 1e-9 * max(float(extent.max()), 1e-300))
     width = float(np.prod(extent / extent.max())) ** (1 / 3) * float(extent.max()) / max(len(points), 1) ** (1 / 3)
     shape = np.maximum(np.minimum(extent / width, 2.0**20), 1.0).astype(np.int64)

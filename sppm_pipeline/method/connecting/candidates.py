@@ -66,11 +66,13 @@ def candidate_graph(
     inside, cells = wrapped(points, period)
     # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
     slots = min(k, (n - 1) * 27)
+    # both ends may find an edge: as one number its twins are found by sorting
     keys = distinct(_keys_near(inside, period, slots, metric))
     keys = keys[keys >= 0]
     edges, turns = edges_of_keys(keys, n)
     shifts = turns * period.astype(np.int64)
     shifts += cells[edges[:, 0]] - cells[edges[:, 1]]
+    # the nearest neighbors of clusters lie within the clusters: without bridges no graph would connect them
     first, first_shifts = bridging_edges(points, edges, period)
     if not len(first):
         return edges, shifts
@@ -78,6 +80,7 @@ def candidate_graph(
     used[first] = True
     labels = component_labels(n, edges)
     alone = np.bincount(labels, weights=~used)[labels] == 0
+    # a second bridge at other pores, as one that every solution must use could break a degree bound
     second, second_shifts = bridging_edges(points, edges, period, used & ~alone)
     return canonical_edges(
         np.concatenate([edges, first, second]), np.concatenate([shifts, first_shifts, second_shifts])
@@ -96,6 +99,7 @@ def _keys_near(
     if metric is None:
         return nearest_keys(sorted_into_buckets(inside, period), np.arange(n), k)
     longest = semi_axes(metric)[:, 0]
+    # the plain ball that is sure to hold the k nearest in the metric, at the density of the whole
     wide = int(min(np.ceil(k * float((longest**3 * np.sqrt(determinants(metric))).max())), max(n - 1, 1)))
     keys = nearest_keys(sorted_into_buckets(inside, period), np.arange(n), wide)
     edges, _ = edges_of_keys(np.maximum(keys, 0).ravel(), n)

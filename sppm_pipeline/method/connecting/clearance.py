@@ -46,6 +46,7 @@ def close_pairs(
     edges = np.ascontiguousarray(edges)
     turns = shifts + cells[edges[:, 1]] - cells[edges[:, 0]]
     starts, ends = segments(inside, edges, turns)
+    # a guess: if there are more close pairs, the second pass knows their number
     room = 4 * len(edges) + 64
     while True:
         pairs, distances = np.empty((room, 2), np.int64), np.empty(room)
@@ -135,6 +136,7 @@ def _close_pairs(
                     span = reach[e, a] + reach[f, a] + clearance
                     first[a] = np.int64(np.ceil((gap - span) / period[a]))
                     last[a] = np.int64(np.floor((gap + span) / period[a]))
+            # several images may be within reach where a tunnel is longer than half a period
             least = np.inf
             for x in range(first[0], last[0] + 1):
                 for y in range(first[1], last[1] + 1):
@@ -152,7 +154,7 @@ def _close_pairs(
 
 @jit
 def _share_end(edges: NDArray[np.int64], turns: NDArray[np.int64], e: int, f: int, moved: NDArray[np.float64]) -> bool:
-    """Whether e and the moved f end in the same image of a pore, or are the same tunnel."""
+    """True if e and the moved f end in the same image of a pore, or are the same tunnel."""
     for p in range(2):
         for q in range(2):
             if edges[e, p] == edges[f, q]:

@@ -1,8 +1,8 @@
 """Small linear programs with bounded variables by the dual simplex method, to which rows can be added.
 
 Made for programs that are solved in a millisecond and again after each few rows, where it takes longer to load a large
-solver, and to hand it the program, than to solve it. The tableau is dense. What comes out should be proven by whoever
-uses it, see `lower_bound`: weak duality needs no trust in any pivot.
+solver, and to hand it the program, than to solve it. The tableau is dense. Callers should prove the result by
+`lower_bound`: weak duality needs no trust in any pivot.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class DualSimplex:
         return solution
 
     def is_infeasible(self) -> bool:
-        """Whether it is proven that there is no solution, after `solution` returned None."""
+        """True if infeasibility is proven, after `solution` returned None."""
         if self._stuck < 0:
             return False
         m = len(self.cost)
@@ -103,7 +103,7 @@ class DualSimplex:
         return least > _PROVEN * float(np.abs(of_rows).sum())
 
     def lower_bound(self) -> float:
-        """What no solution is below, by weak duality: computed from the rows as they were given.
+        """Lower bound of all solutions, by weak duality: computed from the rows as they were given.
 
         Any prices of the rows prove a bound; those of the last solution prove the best one, up to rounding.
         """

@@ -59,6 +59,7 @@ def exact_subgraph(
         if np.bincount(edges.ravel()).max() <= upper:
             return edges, shifts
     n = len(points)
+    # a second, wider attempt only: proving that there is no graph gets much slower with each candidate
     widest = min(2 * k, all_images(n, period))
     k = min(k, widest)
     try:
@@ -89,6 +90,7 @@ def exact_subgraph(
             clearance=clearance,
             metric=metric,
         )
+        # the greedy solution bounds the search from the start, and guarantees that there is one
         chosen = _solution(program, incumbent)
         if chosen is not None:
             return edges[chosen], shifts[chosen]
@@ -159,6 +161,7 @@ def _relaxed(program: Program) -> tuple[NDArray[np.float64], NDArray[np.float64]
         )
         if not _solved(program, result):
             return None
+        # connection is asked for lazily: there are exponentially many cuts, of which few matter
         if not program.cut_off(result.x > _DECIDED):
             return result.x, result.lower.marginals + result.upper.marginals
 
@@ -174,6 +177,7 @@ def _whole(program: Program, low: NDArray[np.float64], high: NDArray[np.float64]
             constraints=LinearConstraint(rows, least, most),
             integrality=np.ones(len(program.cost)),
             bounds=Bounds(low, high),
+            # a gap would make the result depend on the version of the solver
             options={"mip_rel_gap": 0.0},
         )
         if not _solved(program, result):
@@ -184,7 +188,7 @@ def _whole(program: Program, low: NDArray[np.float64], high: NDArray[np.float64]
 
 
 def _solved(program: Program, result: Any) -> bool:
-    """Whether there is a solution; raises if the solver does not decide it."""
+    """True if the program is feasible; raises if the solver does not decide it."""
     if result.status in (0, 2):
         return bool(result.status == 0)
     raise DesignError(

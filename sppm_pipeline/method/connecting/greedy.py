@@ -9,15 +9,14 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.candidates import candidate_graph
 from sppm_pipeline.method.connecting.clearance import close_pairs
 from sppm_pipeline.method.connecting.degrees import harary_edges
-from sppm_pipeline.method.connecting.exchange import connect_and_fill, improve
-from sppm_pipeline.method.connecting.loops import make_loops
+from sppm_pipeline.method.connecting.exchange import connect_and_fill, improve, make_loops
 from sppm_pipeline.method.connecting.moves import CHOSEN, edge_table, insert_all, node_table
 from sppm_pipeline.method.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 # beyond this many neighbors per pore a graph that can't be completed is replaced by a ring graph
-_WIDEST = 40
+_MAX_NEIGHBORS = 40
 
 
 def greedy_subgraph(
@@ -51,10 +50,12 @@ def greedy_subgraph(
         length = edge_lengths(points, edges, shifts, metric)
         edge, conflict, near, order = edge_table(edges, length, conflicts)
         node = node_table(n, edges, lower, upper, slots=upper, detour=n)
-        last = k >= min(most, _WIDEST)
+        # more neighbors seldom help a search that failed with these, but make it slow
+        last = k >= min(most, _MAX_NEIGHBORS)
         complete = connect_and_fill(edge, node, length, near, order)
         if complete and loops:
             complete = make_loops(edge, node, length, near)
+        # Harary's graph meets any feasible bounds: the exchange then shortens it with the candidates' help
         if not complete and last:
             ring_edges, ring_shifts = _ring_graph(points, period, max(lower, 2) if n > 2 else lower)
             edges, shifts, ring = merged_edges(edges, shifts, ring_edges, ring_shifts)

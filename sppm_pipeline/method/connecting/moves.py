@@ -12,8 +12,8 @@ Integers are kept in two tables with named columns, because the time to compile 
   edges at the vertex. The last row belongs to no vertex; its `SEEN` is the stamp of the latest search, its `UPPER` the
   number of vertices at which a search gives up.
 
-``length`` (m,) is the cost of an edge. "No edge" is ``int(np.int64(-1))``: Numba would compile a call anew for each
-combination of literals.
+``length`` (m,) is the cost of an edge. "No edge" is ``int(np.int64(-1))``: Numba would compile a call once more for
+each combination of literals.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ def edge_table(
     conflicts : (c, 2) int64
         Pairs of edges that exclude each other; a pair (e, e) excludes e.
     """
+    # stable: of equally long edges the first one comes first, on every machine
     order = np.argsort(length, kind="stable")
     edge = np.zeros((len(edges), 5), np.int64)
     edge[:, :2] = edges
@@ -119,7 +120,7 @@ def apply_move(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2
 
 @jit
 def clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: int, out2: int, beside: int) -> bool:
-    """Whether e conflicts neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
+    """True if e conflicts neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
     for s in range(edge[e, CONFLICT_FROM], edge[e, CONFLICT_TO]):
         f = conflict[s]
         if f in (e, beside) or (edge[f, CHOSEN] and f != out1 and f != out2):
@@ -131,7 +132,7 @@ def clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: in
 def joined(
     edge: NDArray[np.int64], node: NDArray[np.int64], start: int, goal: int, out1: int, out2: int, in1: int, in2: int
 ) -> bool:
-    """Whether a path leads from start to goal once the move is made (breadth first; neighbors are met soon).
+    """True if a path leads from start to goal once the move is made (breadth first; neighbors are met soon).
 
     After the number of vertices in the last row's `UPPER` the search gives up, and the answer is no.
     """
@@ -175,12 +176,13 @@ def allowed(
     in2: int,
     loops: bool,
 ) -> bool:
-    """Whether the move keeps the graph connected (with `loops`: without bridges) and clear. Degrees are not checked."""
+    """True if the move keeps the graph connected (with `loops`: without bridges) and clear. Degrees are not checked."""
     for e, beside in ((in1, in2), (in2, in1)):
         if e >= 0 and not clear(edge, conflict, e, out1, out2, beside):
             return False
     if loops:
         apply_move(edge, node, out1, out2, in1, in2)
+        # with loops the move is tried: bridges depend on the whole graph, not on a path
         bridges, connected = mark_bridges(edge, node, int(np.int64(SLOTS)), np.zeros(edge.shape[0], np.bool_))
         apply_move(edge, node, in1, in2, out1, out2)
         return connected and bridges == 0

@@ -60,6 +60,7 @@ class Program:
         self.loops = loops
         self.tree = tree
         self.connected = connected
+        # a variable with the upper bound 0 is an edge that conflicts with itself: too close to its own image
         self.allowed = np.ones(m)
         self.conflicts = np.zeros((0, 2), np.int64)
         if clearance is not None and period is not None:
@@ -77,6 +78,7 @@ class Program:
         # with odd n * lower the sum of the degrees is odd nowhere: half an edge that the relaxation would miss
         minimum = max(-(-int(self.lower.sum()) // 2), n if loops else n - parts)
         self.add(np.arange(m), minimum, n - parts if self.tree else np.inf)
+        # exactly n - parts edges; without the upper bound the shortest graph may have loops
         if self.tree:
             self._add_clusters()
 

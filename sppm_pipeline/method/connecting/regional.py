@@ -37,12 +37,12 @@ WHOLE = 2000
 grows steeply beyond."""
 
 GREEDY_REGION = 6000
-"""Pores of a region in greedy mode, a choice: the larger, the fewer pores lie around it, and the fewer regions can be
-worked on at a time."""
+"""Pores of a region in greedy mode (heuristic): larger regions have relatively fewer pores around them that are joined
+twice, smaller ones keep more threads busy. It changes which of the equally good graphs is found."""
 
 AROUND = 5.0
 """Mean distances of pores within which ways around a region are looked for. With 9 graphs of degrees [2, 3] come out
-the same within .2 %."""
+the same within 0.2 %."""
 
 FIXED = -1e6
 """Length, mean distances of pores, of edges that stay as they are: taking one out never gains."""
@@ -51,17 +51,17 @@ PASSES = (0.0, 0.5)
 """Places of the regions in fractions of their edge."""
 
 BORDER = 1.5
-"""Mean distances from the borders of the pass before within which pores are tried again: a choice, as far as the tenth
-neighbor of evenly spread pores lies (a ball of eleven has the radius 1.4)."""
+"""Mean distances from the borders of the pass before within which pores are tried again (heuristic): as far as the
+tenth neighbor of evenly spread pores lies (a ball of eleven has the radius 1.4)."""
 
 DETOUR, DETOUR_OF_TREE = 3000, 300
 """Pores among which a way round a tunnel is looked for. With degrees [2, 3] there is a loop to about 25 pores, and most
-are long: 4000 pores in regions of 700 come out 3.8, 1.6 and .4 % longer than joined at once with 300, 1000 and
-3000. In trees, where most searches end in vain, 3000 takes three times as long as 300 for .04 %."""
+are long: 4000 pores in regions of 700 come out 3.8, 1.6 and 0.4 % longer than joined at once with 300, 1000 and
+3000. In trees, where most searches end in vain, 3000 takes three times as long as 300 for 0.04 %."""
 
 Turns = NDArray[np.int8]
 Ends = tuple[NDArray[np.int32], NDArray[np.int64]]
-"""What `ends_by_pore` returns."""
+"""Result of `ends_by_pore`."""
 
 
 class Region(NamedTuple):
@@ -93,7 +93,7 @@ class Region(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """How the box is cut into regions of equal size.
+    """Division of the box into regions of equal size.
 
     Attributes
     ----------
@@ -174,14 +174,14 @@ def regional_subgraph(
     spacing : float
         Mean distance of pores, which sizes regions and searches.
     mode : {"exact", "greedy"}
-        How a region is made shorter: see `numerics.connecting.bounded.spanning_subgraph`. The exact mode starts
+        How a region is made shorter: see `bounded.spanning_subgraph`. The exact mode starts
         from what greedy has found.
     k : int
         Candidate neighbors of each pore.
     threads : int
         Regions that are worked on at a time.
     progress : callable
-        Told the regions done, and their number.
+        Called with the number of regions done, and of all.
     metric : (n, 6) float64, optional
         Metrics of the pores, where no axis repeats: tunnels are measured in the mean of the metrics of their ends.
 
@@ -274,7 +274,7 @@ class Sorted(NamedTuple):
         return kept
 
     def is_within(self, edges: NDArray[np.int32], turns: Turns) -> NDArray[np.bool_]:
-        """Whether edges between pores of one region lead to the images of these in the region."""
+        """Mask of the edges between pores of one region that lead to the images of these in the region."""
         return np.asarray((self.turns[edges[:, 1]] - self.turns[edges[:, 0]] == turns).all(axis=1))
 
 

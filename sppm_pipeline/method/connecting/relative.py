@@ -23,13 +23,13 @@ _CHUNK = 1 << 14
 _RADIUS, _GROWTH = 2.0, 1.4
 """Radius of the ball that is looked at first, in mean distances of pores, and what it grows by if it does not do. Of
 1.85, 2 and 2.15 none is clearly faster for thrown pores, for which 2 nearly always does; for pores at random it does
-9 times in 10. The growth is a choice."""
+9 times in 10. The growth factor only affects speed: each step searches the ball again."""
 
 _FACETS = 4
 """The sphere of directions is cut into six times the square of this (3 is a little slower)."""
 
 _NEAREST = 8
-"""Pores of the ball that are sorted: the nearest hide most of the others. A choice."""
+"""Pores of the ball that are sorted: the nearest hide most of the others. Only speed depends on it."""
 
 
 def relative_neighbors(
@@ -120,6 +120,7 @@ def _relative_neighbors(
     hiders = np.empty((70, 4))
     for i in range(first, stop):
         radius = min(start, reach)
+        # the ball grows until what lies beyond it can't matter; most pores need one step
         while True:
             count = _pores_within(cells, places, i, radius, ball, who)
             if count > len(ball):
@@ -229,7 +230,7 @@ def _all_hidden(
     widest: float,
     hiders: NDArray[np.float64],
 ) -> bool:
-    """Whether for each place beyond the ball some pore in it is nearer to i and to the place than they are apart.
+    """True if for each place beyond the ball some pore in it is nearer to i and to the place than they are apart.
 
     A border of the set hides what lies beyond it as the mirror image of i would. Facets of the sphere of directions are
     looked at as a whole, so that the answer may be no although the truth is yes.
@@ -302,7 +303,7 @@ def _add_hider(hiders: NDArray[np.float64], most: int, least: float, cosine: flo
 
 @jit
 def _none_nearer(c: int, ball: NDArray[np.float64], count: int) -> bool:
-    """Whether no pore of the ball is nearer to both ends of the step to entry c."""
+    """True if no pore of the ball is nearer to both ends of the step to entry c."""
     square = ball[c, 3]
     for d in range(count):
         if ball[d, 3] < square:

@@ -20,9 +20,10 @@ REACH = 6.0
 2.3 (measured, 10^5 pores); across hollows of a part longer ones are made only where the graph would fall apart."""
 
 _DETOUR = 1000
-"""Pores that the search for a way round a tunnel looks at, a choice: it bounds the time where there is no loop."""
+"""Pores that the search for a way round a tunnel visits (heuristic): it bounds the time
+where there is no loop. A loop that is longer counts as none, and the tunnel stays."""
 
-_NEAREST, _WIDEST = 10, 40
+_NEAREST, _MAX_NEAREST = 10, 40
 """Nearest pores among which one with too few tunnels looks for more, at first and at last."""
 
 
@@ -58,7 +59,7 @@ def relative_neighbor_graph(
     period : (3,) float64
         Whole cells after which each axis repeats, 0 for never.
     degree : (int, int)
-        Bounds A and B; see `numerics.connecting.degrees.feasible_degrees`.
+        Bounds A and B; see `degrees.feasible_degrees`.
     reach : float
         Longer edges are made only where the graph would fall apart; `REACH` mean distances leave none out.
     threads : int
@@ -162,7 +163,7 @@ def raise_degrees(
     degree = degrees_of(n, edges)
     k = _NEAREST
     while (poor := np.flatnonzero(degree < lower)).size:
-        if k > _WIDEST:
+        if k > _MAX_NEAREST:
             raise DesignError(
                 f"{len(poor)} of {n} pores find fewer than {lower} tunnels: the pores around them all have {upper}",
                 hint="widen the degree bounds, for example to [3, 5]",

@@ -141,8 +141,8 @@ def networkx_graph(
     points : (n, 3) float64
         Pore centers: node attributes ``x``, ``y``, ``z``.
     edges, shifts : (m, 2), (m, 3) int64
-        Tunnels from ``points[i]`` to ``points[j] + shift`` with i < j: edge attributes ``length`` and ``shift``, the
-        latter as three integers in a string ("0 0 -1").
+        Tunnels from ``points[i]`` to ``points[j] + shift``: edge attributes ``length`` and ``shift``, the latter as
+        three integers in a string ("0 0 -1"). In the graph each leads from the lower to the higher pore.
     regions : n strings, optional
         Node attribute ``region``, for example "face" or "interior".
 
@@ -163,5 +163,7 @@ def networkx_graph(
             graph.nodes[v]["region"] = str(regions[v])
     lengths = edge_lengths(points, edges, shifts).tolist()
     for (i, j), shift, length in zip(edges.tolist(), shifts.tolist(), lengths, strict=True):
-        graph.add_edge(i, j, length=length, shift=" ".join(str(step) for step in shift))
+        # an undirected graph returns its edges from the lower end, where the same tunnel has the opposite shift
+        first, second, sign = (i, j, 1) if i <= j else (j, i, -1)
+        graph.add_edge(first, second, length=length, shift=" ".join(str(sign * step) for step in shift))
     return graph

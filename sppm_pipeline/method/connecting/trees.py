@@ -35,7 +35,7 @@ Indices = NDArray[np.integer]
 """Edges (m, 2) as pairs of pore indices, or their shifts (m, 3); large graphs hold them in fewer than 64 bits."""
 
 Periodic = bool | Sequence[float]
-"""Whether all axes repeat with period 1, or after how many whole cells each does, 0 for never."""
+"""True if all axes repeat with period 1, else the period of each in whole cells, 0 for none."""
 
 
 def periods(periodic: Periodic) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ def periods(periodic: Periodic) -> NDArray[np.float64]:
 
 
 def images_per_pair(periodic: Periodic) -> int:
-    """How many tunnels two pores may always share.
+    """Number of tunnels that two pores may always share.
 
     No tunnel is longer than the period of an axis, which leaves two images of a pore along each periodic axis.
     """
@@ -63,7 +63,7 @@ def images_per_pair(periodic: Periodic) -> int:
 def wrapped(points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Points moved into [0, period) along the periodic axes, and the whole cells (n, 3) that were taken off.
 
-    The points themselves are returned if they all lie there; nobody writes to them.
+    The points themselves are returned if they all lie there, and are not modified.
     """
     inside, cells = np.require(points, np.float64, ["C", "W"]), np.zeros(points.shape, np.int64)
     # an axis at a time: there may be millions of points

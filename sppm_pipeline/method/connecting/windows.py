@@ -85,6 +85,7 @@ def window(lattice: Lattice, corners: NDArray[np.int64], margin: float) -> Windo
     turns = np.repeat(blocks - blocks % shape, count, axis=0)
     own = np.repeat(((blocks >= corners[0]) & (blocks < corners[1])).all(axis=1), count)
     places = lattice.points[pores] + turns
+    # whole blocks would be up to a block wider than the margin asks for, and their pores joined in vain
     near = own | ((places >= corners[0] - margin) & (places <= corners[1] + margin)).all(axis=1)
     return Window(pores[near], turns[near], own[near])
 
@@ -108,6 +109,7 @@ def edges_of_window(
         Between pores i < j, from ``points[i]`` to ``points[j] + shift``.
     """
     pores = found.pores[edges]
+    # from the lower pore, so that both windows of an edge across a border name it alike
     turned = pores[:, 0] > pores[:, 1]
     ends = np.where(turned[:, None], edges[:, ::-1], edges)
     kept = found.own[ends[:, 0]] & (pores[:, 0] != pores[:, 1])

@@ -73,6 +73,7 @@ def components_of_runs(
     reach = neighbor_reach(connectivity)
     nz, ny, nx = runs.shape
     # the component of a run inside the box, its size in voxels and the faces it touches as bits
+    # first the box without seams, then its components across the seams: far fewer than runs
     in_box, sizes, faces = _box_components(runs.rows, runs.bounds, nz, ny, nx, reach)
     if any(periodic):
         merged, wraps = _cross_seams(
@@ -90,6 +91,7 @@ def components_of_runs(
     order = np.argsort(-sizes, kind="stable")
     number = np.empty(order.size, dtype=np.int32)
     number[order] = np.arange(order.size, dtype=np.int32)
+    # bits 0 to 5: low x, high x, low y, high y, low z, high z
     touched = np.unpackbits(faces[order, None], axis=1, bitorder="little")[:, :6].astype(np.bool_)
     return Components(runs, number[group][in_box], sizes[order], wraps[order], touched)
 
@@ -117,6 +119,7 @@ def _box_components(
     count = 0
     for r in range(n_runs):
         if parent[r] == r:
+            # roots come first, so their numbers ascend with the first voxels
             parent[r] = count
             count += 1
         else:
@@ -167,11 +170,13 @@ def _unite(
     root_a, ax, ay, az = _lift(parent, offset, a)
     root_b, bx, by, bz = _lift(parent, offset, b)
     dx, dy, dz = ax + sx - bx, ay + sy - by, az + sz - bz
+    # the component meets an image of itself: along axes with a shift it goes round the torus
     if root_a == root_b:
         wraps[root_a, 0] |= dx != 0
         wraps[root_a, 1] |= dy != 0
         wraps[root_a, 2] |= dz != 0
         return
+    # the smaller root stays, so that numbers follow the first voxel
     if root_b < root_a:
         root_a, root_b = root_b, root_a
         dx, dy, dz = -dx, -dy, -dz
@@ -223,6 +228,7 @@ def _cross_seams(
                     a_end, b = a_first + 1, max(b, b_end - 1)
                 touch = 1 if dy == 0 and dz == 0 else reach
                 while a < a_end and b < b_end:
+                    # runs of the neighboring image
                     b_begins, b_ends = bounds[2 * b] + sx * nx, bounds[2 * b + 1] + sx * nx
                     if bounds[2 * a + 1] + touch <= b_begins:
                         a += 1

@@ -77,18 +77,8 @@ def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int =
     total = int(found.sizes.sum())
     loose = found.sizes[1:]
     share = int(loose.sum()) / total if total else 0.0
+    # components are sorted by size: the first one stays
     return LooseParts(int(loose.size), int(np.count_nonzero(found.faces[1:].any(axis=1))), share)
-
-
-def grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and all voxels that share a face, an edge or a corner with it; a copy."""
-    for axis in range(3):
-        along = np.moveaxis(mask, axis, 0)
-        more = along.copy(order="K")
-        more[1:] |= along[:-1]
-        more[:-1] |= along[1:]
-        mask = np.moveaxis(more, 0, axis)
-    return mask
 
 
 @jit
@@ -125,6 +115,7 @@ def negate_runs(
     nz, ny, nx = size
     for k in range(values.shape[0]):
         for y in range(values.shape[1]):
+            # samples beyond the shape are periodic images of the first ones
             row = (start + k) % nz * ny + y % ny
             for r in range(rows[row], rows[row + 1]):
                 if not keep[r]:

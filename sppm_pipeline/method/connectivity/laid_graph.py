@@ -50,6 +50,7 @@ def parts_of_layout(
 
     first, second = (edges[:, end].astype(np.int64) for end in range(2))
     crossing = (piece[first] < interiors) & (piece[second] >= interiors)
+    # parts within pieces first, of which there are few, then the layout of many places
     _, within = components(len(piece), first[~crossing], second[~crossing])
     if not sum(colors):
         return int(within.max(initial=-1)) + 1  # blocks without faces are joined across their borders, each once
@@ -80,6 +81,7 @@ def parts_of_layout(
     at: NDArray[np.int64] = np.concatenate([begins, [len(joins)]])
     cells = np.argwhere(tiling.interior >= 0)
     number = np.asarray(np.ravel_multi_index(tuple(cells.T), tiling.interior.shape))
+    # each face of each cell: the connectors that its interior has to a face of that color
     links = [np.zeros((0, 2), np.int64)]
     for axis, faces in enumerate(tiling.faces):
         shape = tuple(n - (tiling.periodic and a == axis) for a, n in enumerate(faces.shape))

@@ -39,6 +39,7 @@ def _touched(
                 found = other
             else:
                 other, found = find_root(parent, other), find_root(parent, found)
+                # the smaller id stays, as ids follow the order of first voxels
                 if other < found:
                     parent[found] = other
                     found = other
@@ -115,6 +116,7 @@ def layer_ids(
                 parent[n_ids] = n_ids
                 n_ids += 1
             ids[a] = found
+            # the rest is one with the largest component already
             if found != main:
                 others[n_others] = a
                 n_others += 1
@@ -122,6 +124,7 @@ def layer_ids(
         if y > 0:
             before, here = rows[y - 1], rows[y]
             after = rows[y + 1]
+            # a search by halves pays where few runs are loose
             if 8 * (n_row + n_before) > after - before:
                 for a in range(here, after):
                     first, stop = bounds[2 * a] - reach, bounds[2 * a + 1] + reach

@@ -63,7 +63,7 @@ def as_bytes(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def neighbor_reach(connectivity: int) -> int:
-    """How far a neighboring row is looked past a run: 0 for 6-connectivity (faces), 1 for 26 (edges, corners).
+    """Voxels past the ends of a run that touch it in a neighboring row: 0 across faces (6), 1 across corners (26).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Components of a part whose slabs were labeled apart from each other, by processes that know nothing of the others.
+"""Components of a part whose slabs were labeled apart from each other, by processes that share no data.
 
 The result is that of labeling all layers at once, in components, in their order and in which of equals is the first: a
 component of the part is numbered by its first voxel, which lies in the lowest slab that it reaches, and there in the
@@ -60,12 +60,14 @@ class SlabUnion:
                 self._reach,
             )
         boxes = labels.boxes.copy()
+        # z of a slab counts from its own first layer
         boxes[:, 4:] += self._layers
         self._boxes.append(boxes)
         self._voxels.append(labels.voxels)
         self._components.append(labels.component)
         self._starts.append(stop)
         self._layers += labels.layers
+        # the last layer alone is needed for the border to the next slab
         self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
 
     def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
@@ -123,6 +125,7 @@ def _join_border(
                     b += 1
                 else:
                     unite(parent, labels[a], labels_below[b])
+                    # the run that ends first can touch no further one
                     if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
                         a += 1
                     else:

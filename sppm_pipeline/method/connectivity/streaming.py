@@ -5,10 +5,10 @@ part is gone through twice. The first pass gives every run of a layer an *id*: t
 the layer below or in the row before, or a new one. Ids that turn out to be one component are united, and voxels are
 counted per id. Of the ids that a layer has brought, those remain that nothing is known to be one with.
 
-What stays is known when all layers were seen, but most of it long before: a run that is one with the largest component
-so far remains so. Runs that are not, the *loose* ones, are written down, a few in a hundred. The second pass looks up
+The verdict falls when all layers were seen, but for most runs long before: a run that is one with the largest component
+so far remains so. Runs that are not, the *loose* ones, are stored, a few in a hundred. The second pass looks up
 whether their ids stay, and takes out those that do not; it need not look at the others. Should there be too many to
-write down, the second pass derives the ids of all runs again, in the same way.
+store, the second pass derives the ids of all runs again, in the same way.
 
 Slabs may also be labeled apart from each other, each by a filter of its own: `IslandFilter.labels` ends the first pass
 of a slab, `slab_union` unites them, and `IslandFilter.decided` begins the second pass.
@@ -34,15 +34,16 @@ from sppm_pipeline.services.bit_rows import count, pack, unpack
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root
 
-_REMEMBERED = 1 << 21
-"""Loose runs that are written down in the first pass: 32 MB."""
+_MAX_STORED = 1 << 21
+"""Loose runs that are stored in the first pass: 32 MB. With more, ids are derived twice, which takes time instead."""
 
-_LOOKED_THROUGH = 1 << 18
-"""Loose runs from which it is worth looking whether they still are: most of those of the first layers are not."""
+_PRUNED_FROM = 1 << 18
+"""Loose runs from which they are pruned: most of those of the first layers have become connected. These
+are 4 MB; not sensitive."""
 
 
 class _Loose(NamedTuple):
-    """Of a layer, what the second pass needs to know.
+    """Data of a layer for the second pass.
 
     Attributes
     ----------
@@ -83,7 +84,7 @@ class IslandFilter:
         self._boxes = np.zeros((1024, 6), dtype=np.int32)
         self._verdict: NDArray[np.bool_] | None = None
         self._remembered: deque[_Loose] | None = deque()  # emptied by the second pass
-        self._written, self._next_look = 0, _LOOKED_THROUGH
+        self._written, self._next_look = 0, _PRUNED_FROM
         self._rewind()
         self._first, self._ids_first = self._below, self._ids_below
 
@@ -109,6 +110,7 @@ class IslandFilter:
 
     def _advance(self, layer: NDArray[np.uint64], counting: bool) -> Runs:
         """Find the runs of the next layer (1, ny, words) and their ids; count their voxels in the first pass."""
+        # runs, not voxels: far fewer, and as quick to join
         runs = runs_of_bits(layer, self._shape[1])
         needed = self._n_ids + runs.n_runs
         if needed > self._parent.size:
@@ -163,7 +165,7 @@ class IslandFilter:
         return total
 
     def _remember(self, runs: Runs, voxels: int) -> None:
-        """Write down the loose runs of the last layer; of no layer any more, if there are too many."""
+        """Store the loose runs of the last layer; give up storing if there are too many."""
         assert self._remembered is not None
         loose = np.empty((0, 4), np.int32)
         main = -1
@@ -177,7 +179,7 @@ class IslandFilter:
             self._look_through()
 
     def _look_through(self) -> None:
-        """Drop runs that have become one with the largest component since they were written down."""
+        """Drop runs that have become one with the largest component since they were stored."""
         assert self._remembered is not None
         main = int(find_root(self._parent, self._largest))
         for number, loose in enumerate(self._remembered):
@@ -185,8 +187,8 @@ class IslandFilter:
                 still = still_loose(loose.runs[:, 3], self._parent, main)
                 self._remembered[number] = loose._replace(runs=loose.runs[still])
         self._written = sum(len(loose.runs) for loose in self._remembered)
-        self._next_look = self._written + _LOOKED_THROUGH
-        if self._written > _REMEMBERED:
+        self._next_look = self._written + _PRUNED_FROM
+        if self._written > _MAX_STORED:
             self._remembered = None
 
     def finish(self, keep: Literal["largest"] | float = "largest") -> IslandStatistics:
@@ -212,7 +214,7 @@ class IslandFilter:
         _resolve(root, self._voxels, self._boxes)
         kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers, keep)
         self._verdict = kept[root]
-        self._forget()
+        self._free()
         return statistics
 
     def labels(self) -> SlabLabels:
@@ -242,11 +244,11 @@ class IslandFilter:
         )
         self._verdict = np.zeros(0, dtype=np.bool_)
         self._remembered = None  # the second pass may be another process
-        self._forget()
+        self._free()
         return made
 
-    def _forget(self) -> None:
-        """What only the first pass needs."""
+    def _free(self) -> None:
+        """Free the arrays that only the first pass needs."""
         self._parent, self._voxels, self._boxes = (
             np.zeros(0, dtype=np.int32),
             np.zeros(0, dtype=np.int64),
@@ -301,12 +303,15 @@ class IslandFilter:
                 clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], slab[k])
                 continue
             loose = self._remembered.popleft()
+            # a source that delivers other layers the second time would be cut in the wrong places
             if count(slab[k]) != loose.voxels:
                 raise _other_layer(self._z)
             self._z += 1
             if loose.main < 0:
                 continue
+            # the component that was the largest then may be an island in the end
             main_stays = bool(self._verdict[loose.main])
+            # runs that share the fate of the main component need not be touched
             chosen = loose.runs[self._verdict[loose.runs[:, 3]] != main_stays]
             if not main_stays:
                 slab[k] = 0
@@ -335,6 +340,7 @@ def _other_layer(z: int) -> InputError:
 @jit
 def _resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
     """Point every id at its root and gather counts and bounding boxes there."""
+    # in ascending order the parent of a parent is a root already
     for i in range(parent.size):
         root = parent[parent[i]]  # a parent is never after its child
         parent[i] = root

@@ -1,4 +1,4 @@
-"""What is known of components of layers once all voxels were seen, and which of them stay."""
+"""Statistics of components once all voxels were seen, and the verdict which of them stay."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class IslandStatistics(NamedTuple):
 
 
 class SlabLabels(NamedTuple):
-    """What the first pass knows of a slab that was labeled by itself.
+    """Components of a slab that was labeled by itself, from the first pass.
 
     Components are numbered in the order of their first voxels (z slowest).
 
@@ -110,11 +110,13 @@ def decide(
     total = int(sizes.sum())
     if total == 0:
         return np.zeros(0, dtype=np.bool_), IslandStatistics(layers, 0, 0, 0, 0.0, 0.0, (False, False, False))
+    # of equals the first one, whose root is the smallest
     largest = int(np.argmax(sizes))
     if keep == "largest":
         kept = np.arange(root.size) == largest
     else:
         kept = is_root & (sizes >= keep * total)
+    # "spans" compares with the box of the phase, not with that of the layers: a part need not fill its stack
     every, own = boxes[is_root], boxes[largest]
     x, y, z = (
         bool(own[2 * a] == every[:, 2 * a].min() and own[2 * a + 1] == every[:, 2 * a + 1].max()) for a in range(3)

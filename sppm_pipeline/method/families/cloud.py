@@ -1,13 +1,14 @@
-"""What connectors are given to join: the pores of one piece, or of a whole lattice of blocks."""
+"""Pores that connectors join: the pores of one piece, or of a whole lattice of blocks."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.length import Cell, Length
 
 
 class Piece(NamedTuple):
@@ -33,6 +34,22 @@ class Piece(NamedTuple):
     graded: bool = False
 
 
+@dataclass(frozen=True)
+class CellCube(Cell):
+    """A cube of cells taken for one cell, as `Piece.periodic` asks for it: lengths become fractions of the whole cube.
+
+    Attributes
+    ----------
+    cells : int
+        Number of cells along its edge.
+    """
+
+    cells: int = 1
+
+    def fraction(self, length: Length) -> float:
+        return super().fraction(length) / self.cells
+
+
 class Cloud(NamedTuple):
     """The pores of a lattice of blocks without faces, to be joined as one graph.
 
@@ -49,7 +66,7 @@ class Cloud(NamedTuple):
     cell : Cell
         Turns the user's lengths into cell sizes.
     metric : (n, 6) float64 or None
-        Metrics of the pores, see `numerics.metric`: the distance of two is measured in the mean of theirs. Only
+        Metrics of the pores, see `services.metric`: the distance of two is measured in the mean of theirs. Only
         connectors that follow them are given any.
     """
 

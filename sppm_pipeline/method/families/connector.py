@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families.cloud import Cloud, Piece
+from sppm_pipeline.method.families.cloud import CellCube, Cloud, Piece
 from sppm_pipeline.method.families.interiors import MANY
 from sppm_pipeline.method.families.scattered import joined
 from sppm_pipeline.method.nouns.pores import PoreSet
@@ -20,12 +20,13 @@ from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.stage import Context, Stage
 
 WINDOW_PORES = 3000
-"""Most pores, about, that `Connector.join_cloud` hands to `join` at a time, margin included: a choice, as the time that
-a `join` takes may grow with the square of their number."""
+"""Approximate maximum number of pores that `Connector.join_cloud` passes to `join` at a time, margin included
+(heuristic): the time of a `join` may grow with the square of their number, the share of pores in margins with its power
+-1/3."""
 
 WINDOW_MARGIN = 3.0
-"""Width of the margin in mean distances of pores, a choice: for a short edge both ends shall see all that decides about
-it. Edges of relative neighbors are at most 2.3 long in random packings."""
+"""Width of the margin in mean distances of pores (heuristic): all pores that decide about a short edge should lie in
+the window of either end. Edges of relative neighbors are at most 2.3 long in random packings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +82,7 @@ class Connector(Stage):
 
         found = self._edges_of_windows(context, cloud)
         edges, shifts = canonical_edges(np.concatenate([e for e, _ in found]), np.concatenate([s for _, s in found]))
+        # windows see the same pores near their borders, but a graph without long edges may still fall apart
         bridges, turns = bridging_edges(cloud.points, edges, cloud.period)
         context.report(bridging_tunnels=len(bridges))
         return canonical_edges(np.concatenate([edges, bridges]), np.concatenate([shifts, turns]))
@@ -100,10 +102,8 @@ class Connector(Stage):
         if n <= WINDOW_PORES and (cubic or not any(cloud.periodic)):
             # a periodic piece is a unit cube
             scale = size if cubic else 1
-            edges, shifts = self._joined(
-                context.rng(0),
-                Piece(cloud.points / scale, cubic, "interior", replace(cloud.cell, edge=scale * cloud.cell.edge)),
-            )
+            cell = CellCube(cloud.cell.edge, cloud.cell.physical, scale) if cubic else cloud.cell
+            edges, shifts = self._joined(context.rng(0), Piece(cloud.points / scale, cubic, "interior", cell))
             return [(edges, shifts * scale)]
         lattice = Lattice(cloud.points, cloud.first, cloud.lattice, cloud.period)
         margin = WINDOW_MARGIN * cloud.spacing
@@ -118,7 +118,7 @@ class Connector(Stage):
         return found
 
     def _joined(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """What `join` makes of a piece of a cloud, checked."""
+        """Checked result of `join` for a piece of a cloud."""
         if len(piece.points) < 2:
             return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
         edges, shifts = (np.asarray(array, np.int64) for array in self.join(rng, piece))
@@ -133,6 +133,7 @@ class Connector(Stage):
     ) -> NDArray[np.int64]:
         """For each face pore the interior pore that its connector leads to, (f,) int64: the nearest."""
         d = ((face_points[:, None, :] - interior_points[None, :, :]) ** 2).sum(-1)
+        # of equally near ones the first: the same on every machine
         nearest: NDArray[np.int64] = np.argmin(d, axis=1).astype(np.int64)
         return nearest
 
@@ -181,7 +182,7 @@ class Connector(Stage):
         return np.concatenate(edges), np.concatenate(shifts)
 
     def join_piece(self, context: Context, pores: PoreSet, piece: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """What `join` makes of one piece, as indices into ``pores.centers``."""
+        """Result of `join` for one piece, as indices into ``pores.centers``."""
         index, region = pores.indices(piece), "interior" if piece < pores.interiors else "face"
         graded = context.palette.totals is not None and pores.has_faces and region == "interior"
         edges, shifts = self.join(
@@ -191,12 +192,13 @@ class Connector(Stage):
 
     @property
     def connects_to_the_nearest(self) -> bool:
-        """Whether `connect` leads to the nearest pores, which for many faces is found in one go."""
+        """True if `connect` leads to the nearest pores, which a compiled search finds for many faces at once."""
         return type(self).connect is Connector.connect
 
     def connect_pieces(self, context: Context, pores: PoreSet) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         """The connectors of all interiors with the faces that they may meet, in the form of `join_pieces`."""
         edges, shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]
+        # which faces an interior may meet: all with an open palette, its own ones in the paper's set
         meetings = context.palette.all_meetings() if pores.has_faces else np.zeros((0, 4), np.int64)
         faces = pores.face_pieces(meetings[:, 1], meetings[:, 3])
         if self.connects_to_the_nearest and pores.has_faces and pores.interiors + sum(pores.colors) >= MANY:

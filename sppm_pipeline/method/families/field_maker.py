@@ -8,7 +8,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.tiler import lattice_for
 from sppm_pipeline.method.fields.formula import FormulaField
@@ -57,18 +56,9 @@ class Formula(Stage):
         Raises
         ------
         ConfigError
-            If the length has a unit and the cell has no physical size.
+            If the length has a physical unit and the cell has no physical size.
         """
-        if length.unit is None:
-            return length.value
-        edge_mm = edge_mm or self.edge_mm
-        if edge_mm is None:
-            raise ConfigError(
-                f"the length {length} has a physical unit, but the cell has no physical size",
-                hint="give the stage the size of the cell, for example `edge: 7.5 mm`, or write the length as a "
-                "fraction of the cell size",
-            )
-        return length.mm() / edge_mm
+        return length.in_cells(edge_mm or self.edge_mm)
 
 
 @dataclass(frozen=True, kw_only=True)

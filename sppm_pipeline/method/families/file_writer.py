@@ -18,7 +18,7 @@ from sppm_pipeline.services.threads import computed_ahead
 from sppm_pipeline.stage import Context, Stage
 
 ADVICE = "extract with a lower `resolution`, or slice without a mesh (`slice.field`)"
-"""What to change if a mesh does not fit."""
+"""Hint of errors about meshes that do not fit."""
 
 
 class Digest(Protocol):

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 LOCKING = 0.49
-"""Poisson's ratio above which bricks and straight tetrahedra are warned of. On a gyroid C11 falls by 3 % from 12 to 24
-voxels at .49, and by 15 % at .499."""
+"""Poisson's ratio above which bricks and straight tetrahedra trigger a warning. On a gyroid C11 falls by 3 % from 12 to
+24 voxels at 0.49, and by 15 % at 0.499."""
 
 
 class VoxelCell(NamedTuple):
@@ -77,7 +77,7 @@ class VoxelCell(NamedTuple):
         return np.asarray(table[0] + self.fraction.T.astype(dtype) * (table[1] - table[0]))
 
     def check_materials(self, context: Context, given: int, options: str) -> None:
-        """Whether there are as many materials as phases: an error if one has none, a warning if some are left over.
+        """Check that there are as many materials as phases: an error if one has none, a warning if some are left over.
 
         Raises
         ------
@@ -278,7 +278,7 @@ class Homogenizer(Stage):
         }
 
     def solver_warnings(self, solved: tuple[Solved, ...], precision: str) -> list[str]:
-        """Whether the load cases converged, and in the requested precision."""
+        """Warn of load cases that did not converge, or not in the requested precision."""
         warnings = []
         if not all(case.converged for case in solved):
             warnings.append(

@@ -51,7 +51,7 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
     if found.undecided_share > MAX_UNDECIDED:
         raise InputError(
             f"{what}: more than the {MAX_UNDECIDED:.0%} that are accepted, so there is no telling inside from outside",
-            hint="let `check.mesh` say what is wrong, then close the holes in a modeller or with a repair plugin",
+            hint="let `check.mesh` say what is wrong, then close the holes in a modeler or with a repair plugin",
         )
     context.warn(f"{what}; winding number and rays differ on {found.disagreement:.1%}: look at the layers")
     return mesh, found.method

@@ -1,4 +1,4 @@
-"""What lies around the interiors of a tile set: what a sampler is told of one, and of all."""
+"""Surroundings of the interiors of a tile set, for samplers: of one interior, and of all."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from sppm_pipeline.nouns.palette import Palette
 if TYPE_CHECKING:
     from sppm_pipeline.method.sampling.many import Surrounding
 
-FEWEST = 4
-"""Pores of a graded cell at the least: fewer have no three neighbors each."""
+MIN_PORES = 4
+"""Minimum number of pores of a graded cell: fewer have no three neighbors each."""
 
-FEWEST_BETWEEN_FACES = 1
-"""Pores of the interior of a graded cell at the least if there are pores on its faces, which are joined to it."""
+MIN_PORES_BETWEEN_FACES = 1
+"""Minimum number of pores of the interior of a graded cell with pores on its faces, which are joined to it."""
 
 MANY = 64
-"""Interiors or pieces from which a kernel that does many of them is worth its loading: a choice."""
+"""Interiors or pieces from which a compiled kernel for many of them is used: it takes longer to load than a few pieces
+take. The result is the same either way."""
 
 
 class InteriorBox(NamedTuple):
-    """Where a sampler puts the pores of one interior.
+    """Region in which a sampler places the pores of one interior.
 
     Attributes
     ----------
@@ -70,6 +71,7 @@ class Meetings:
             self._first = np.searchsorted(self._rows[:, 0], np.arange(pores.interiors + 1))
             return
         axis = pores.axis_of_piece()[pores.piece]
+        # with any colors on any side each pattern is an obstacle at both ends of its axis
         low, normal = pores.centers[axis >= 0], np.eye(3)[axis[axis >= 0]]
         self._all = np.concatenate([low, low + normal, self._edges])
         if max(pores.colors) == 1:
@@ -144,7 +146,7 @@ class Interiors:
         return Meetings(self.pores, self._palette)
 
     def box(self, interior: int) -> InteriorBox:
-        """What one of them is told."""
+        """Box and surroundings of one of them."""
         pores = self.pores
         return InteriorBox(
             lower=np.full(3, self.gap),

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.connectivity.removal import removal_warning
 from sppm_pipeline.method.families.slab_writer import DividedLayers, divides, encoded_bits, image_of
 from sppm_pipeline.method.slicing.sampled_slices import SampledSlices
 from sppm_pipeline.method.slicing.slice_stack import Slabs, SliceStack
@@ -22,7 +23,7 @@ from sppm_pipeline.stage import Context, Headline, Stage, option
 
 
 class LayerObserver(Protocol):
-    """What looks at the layers as they pass, as a thumbnail does.
+    """Observer of the layers as they pass, such as a thumbnail.
 
     One that has an attribute `wanted`, a collection of numbers, may be shown these layers only; where workers make the
     layers, others need not travel then.
@@ -42,7 +43,7 @@ class EncodedLayers:
     bytes : int
         Their size.
     findings : dict
-        Empty until the last layer was taken; then what the stack found out on the way, such as the solid volume.
+        Empty until the last layer was taken; then what the stack determined on the way, such as the solid volume.
     observer : LayerObserver or None
         What `LayerWriter.observer` made; it has seen all layers when the last of them was taken.
     """
@@ -95,7 +96,9 @@ class LayerWriter(Stage):
     maps: ClassVar[bool] = True
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("bytes"),
+        Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("porosity"),
+        Headline("infill_porosity", "porosity of the infill"), Headline("removed_share", "share of solid removed"),
+        Headline("bytes"),
     )  # fmt: skip
     suffix: ClassVar[str] = ""  # ends the names of the files that `store` makes in its folder
 
@@ -121,7 +124,7 @@ class LayerWriter(Stage):
         """
 
     def takes_bits(self, stack: SliceStack) -> bool:
-        """Whether layers of black and white are handed to `encode_bits` where they are there as bits."""
+        """True if layers of black and white are passed to `encode_bits` where they are there as bits."""
         return False
 
     def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
@@ -176,7 +179,7 @@ class LayerWriter(Stage):
         return {}
 
     def observer(self, stack: SliceStack) -> LayerObserver | None:
-        """What is to see the layers as they pass, for `store` to use; nothing by default."""
+        """Observer of the layers as they pass, for `store` to use; nothing by default."""
         return None
 
     def facts(self, stack: SliceStack, findings: dict[str, Any]) -> dict[str, Any]:
@@ -231,7 +234,11 @@ class LayerWriter(Stage):
         self.store(target, stack, layers)
         if layers.taken != nz:
             raise RuntimeError(f"`store` of {self.name} has taken {layers.taken} of {nz} layers")
-        context.report(bytes=layers.bytes, layers=nz, **layers.findings, **self.facts(stack, layers.findings))
+        found = layers.findings
+        context.report(bytes=layers.bytes, layers=nz, **found, **self.facts(stack, found))
+        porosity = (found["porosity_with_islands"], found["porosity"]) if "porosity" in found else None
+        if warning := removal_warning(found.get("removed_share", 0.0), porosity):
+            context.warn(warning)
         if overview:
             from PIL import Image
 

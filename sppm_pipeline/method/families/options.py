@@ -4,7 +4,7 @@ A stage calls a declaration with its default, and with bounds or choices of its 
 particular to the stage goes behind the shared sentence as a note::
 
     resolution: int = options.resolution(48, maximum=512)
-    islands: str = options.islands("remove", note="in the finished part")
+    islands: str = options.islands("auto", note="in the finished part")
 
 `tests/stages/test_option_words.py` holds every stage to it. Lengths without a unit are fractions of the cell size.
 """
@@ -39,7 +39,10 @@ cells = _shared("number of cells along x, y, z, for a box of cells instead of a 
 periodic = _shared("opposite sides are neighbors, as homogenization needs it")
 resolution = _shared("voxels along an edge of the cell", unit="voxels", minimum=2, maximum=1024)
 voxel = _shared("edge of a voxel", unit="mm", above=0, maximum=1e6)
-islands = _shared("what becomes of disconnected solid", choices=("remove", "keep"))
+islands = _shared(
+    "treatment of disconnected solid: auto removes it, but refuses to remove 10 % of the solid or more",
+    choices=("auto", "remove", "keep"),
+)
 exact = _shared("sum the kernels at every sample of fine grids, too, instead of interpolating between coarser sums")
 
 # pores
@@ -68,7 +71,7 @@ evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 # solvers and materials
 EACH_PHASE = "or of each phase from 1 on"
 iterations = _shared("maximum number of solver iterations for a load case", minimum=1, maximum=1_000_000)
-residual = _shared("the solver stops at this residual over the right-hand side", minimum=1e-14, maximum=0.1)
+residual = _shared("relative residual at which the solver stops", minimum=1e-14, maximum=0.1)
 young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
 poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
 stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))

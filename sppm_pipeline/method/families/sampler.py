@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.interiors import FEWEST, FEWEST_BETWEEN_FACES, InteriorBox, Interiors
+from sppm_pipeline.method.families.interiors import MIN_PORES, MIN_PORES_BETWEEN_FACES, InteriorBox, Interiors
 from sppm_pipeline.method.families.scattered import block_by_block
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.length import Cell, Length
@@ -38,7 +38,7 @@ class Sampler(Stage):
 
     edge: Length | None = options.edge(
         None,
-        note="the lengths of this recipe are given in a cell of this size, 1 if omitted",
+        note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
         unit=None,
         above=None,
         minimum=1e-6,
@@ -98,6 +98,7 @@ class Sampler(Stage):
             return self.scatter(context, base, context.palette.blocks)
         spacing = self.requested_spacing(cell) or base.spacing
         gap = self.gap_from_faces(cell, base)
+        # both gaps together would be the whole cell
         if gap >= 0.5:
             raise DesignError(
                 f"the gap of {gap:g} cell sizes leaves no interior; it must be below 0.5",
@@ -108,6 +109,7 @@ class Sampler(Stage):
         piece = np.repeat(np.arange(base.interiors, dtype=np.int32), counts)
         kept = self.kept_spacing(cell, base)
         if kept is not None and context.palette.spacings is not None:
+            # what holds for all interiors is the smallest of their spacings
             kept *= min(1.0, float(context.palette.spacings.min()))
         return base.extended(centers, piece, spacing=kept)
 
@@ -141,7 +143,9 @@ class Sampler(Stage):
             return replace(self, total=count + face_pores)  # type: ignore[call-arg]
         if getattr(self, "count", None) is not None:
             return replace(self, count=count)  # type: ignore[call-arg]
-        raise ConfigError(f"{self.name} can't be told how many pores a graded cell has", hint="give it a `total`")
+        raise ConfigError(
+            f"{self.name} has no option for the number of pores of a graded cell", hint="give it a `total`"
+        )
 
     def _graded(self, palette: Palette, interior: int, box: InteriorBox, before: int) -> tuple[Sampler, InteriorBox]:
         """The stage and the box with the number and the spacing of pores that the palette wants of an interior."""
@@ -150,7 +154,7 @@ class Sampler(Stage):
         if palette.totals is None:
             return self, box
         face_pores = round(float(box.folded[before:, 3].sum()))
-        count = max(int(palette.totals[interior]) - face_pores, FEWEST_BETWEEN_FACES if face_pores else FEWEST)
+        count = max(int(palette.totals[interior]) - face_pores, MIN_PORES_BETWEEN_FACES if face_pores else MIN_PORES)
         return self.with_pores(count, face_pores), box._replace(face_pores=face_pores)
 
     def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
@@ -158,7 +162,7 @@ class Sampler(Stage):
         return block_by_block(context, self, base, blocks)
 
     def thrown(self, context: Context, interior: int, box: InteriorBox) -> NDArray[np.float64]:
-        """What `throw` returns for an interior, checked."""
+        """Checked result of `throw` for an interior."""
         made: Any = self.throw(context.rng(*context.palette.key(interior)), box)
         if made is None:
             raise ValueError(f"{self.name}.throw must return points of shape (n, 3), got nothing")

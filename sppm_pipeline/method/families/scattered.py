@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.families.sampler import Sampler
 
 
+RIM = 2.0
+"""Mean distances of pores from the rim of the blocks within which darts are not evened out, so that they hold the
+others back: beyond, the potential is below 1e-3. The rim lies in the blocks around a part, outside of it."""
+
+
 @dataclass(frozen=True, eq=False)
 class FilledBlocks(Blocks, ABC):
     """Blocks over cells of another shape, which say themselves where darts fall: implement `with_darts`.
@@ -68,6 +73,7 @@ def with_darts(
     quotas = np.zeros(blocks.shape, np.int64)
     quotas[blocks.mask] = more
     before = (base.centers, _first_of_blocks(base.piece, blocks)) if obstacles and len(base.centers) else None
+    # one number for the whole lattice: blocks derive theirs from it and their place
     seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
     centers, first = throw_blocks(
         seed, quotas, spacing, periodic=blocks.periodic, density=blocks.density, metric=blocks.metric, before=before,
@@ -75,6 +81,40 @@ def with_darts(
     )  # fmt: skip
     least = spacing if blocks.density is None else spacing * float(blocks.density.max()) ** (-1 / 3)
     return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], least)
+
+
+def with_evened(
+    context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float, stealth: float
+) -> tuple[PoreSet, float]:
+    """Throw darts into all blocks, `mean` pores each, and even them out; pores thrown before stay where they are.
+
+    At the rim of the blocks, where neighbors are missing, darts stay, too.
+
+    Returns
+    -------
+    pores : PoreSet
+        Darts may have moved to a neighboring block.
+    structure_factor : float
+        Of the silenced waves; see `sampling.evened`.
+    """
+    from sppm_pipeline.method.sampling.evened import even_out, near_the_rim
+
+    thrown = with_darts(context, base, blocks, mean, spacing)
+    piece = thrown.piece
+    # in each block those thrown before come first
+    before = np.bincount(base.piece, minlength=base.interiors)
+    moves = np.arange(len(piece)) - np.searchsorted(piece, piece) >= before[piece]
+    density = mean + float(before.mean())
+    points = thrown.centers + blocks.sites[piece]
+    if not blocks.periodic:
+        moves &= ~near_the_rim(points, blocks.mask, RIM * density ** (-1 / 3))
+    points, factor = even_out(
+        points, moves, blocks.mask, blocks.periodic, density, stealth, spacing, threads=context.threads
+    )
+    block = np.minimum(points.astype(np.int64), np.array(blocks.shape) - 1)
+    piece = blocks.numbers[tuple(block.T)].astype(np.int32)
+    order = np.argsort(piece, kind="stable")
+    return replace(thrown, centers=(points - block)[order], piece=piece[order]), factor
 
 
 def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Blocks) -> PoreSet:
@@ -115,6 +155,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     thrown = [base.of_piece(t) for t in range(base.interiors)]
     new: list[NDArray[np.float64]] = [np.zeros((0, 3))] * base.interiors
     shifts = [np.array(step) for step in itertools.product((-1, 0, 1), repeat=3)]
+    # the order of colors is that of the compiled way, so that a block waits for few others
     colors = block_colors(blocks.shape, blocks.periodic)[tuple(sites.T)]
     for done, t in enumerate(np.argsort(colors, kind="stable")):
         around = [thrown[t]] if alone else []
@@ -175,7 +216,7 @@ def _extended(
 
 
 def _first_of_blocks(piece: NDArray[np.int32], blocks: Blocks) -> NDArray[np.int64]:
-    """Where the pores of each block of the lattice begin, (blocks + 1,)."""
+    """Index of the first pore of each block of the lattice, (blocks + 1,)."""
     counts = np.zeros(blocks.mask.size, np.int64)
     counts[blocks.mask.ravel()] = np.bincount(piece, minlength=int(blocks.mask.sum()))
     return np.concatenate([[0], np.cumsum(counts)])
@@ -187,12 +228,12 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     Raises
     ------
     ConfigError
-        If the sampler knows nothing of blocks, or the connector nothing of stretched pores.
+        If the sampler does not support blocks, or the connector no stretched pores.
     """
     blocks = pores.blocks
     if blocks is None:
         raise ConfigError(
-            "a sampler of this recipe throws cells that know nothing of their neighbors, which can't be scattered",
+            "a sampler of this recipe throws cells without regard to their neighbors, which can't be scattered",
             hint="use `sample.dart_throwing`, or lay cells by `tile.fresh`",
         )
     # an axis at a time: there may be millions of pores
@@ -214,6 +255,7 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     edges, shift = connector.join_cloud(context, cloud)
     del cloud, points
     first, second = (pores.piece[edges[:, end]] for end in range(2))
+    # in a cloud shifts are between places of the lattice; in a tiling between cells
     shift = np.require(shift, np.int32, "W")
     for axis in range(3):
         shift[:, axis] += corners[axis][second]

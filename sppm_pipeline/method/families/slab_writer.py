@@ -10,15 +10,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.slicing.sampled_slices import SampledSlices
+from sppm_pipeline.method.slicing.sampled_slices import SampledSlices, add_counts
 from sppm_pipeline.method.slicing.slab_passes import (
+    IslandPass,
     SlabTask,
-    Survey,
-    add_counts,
     cleared_slab,
+    find_islands,
+    label_slab,
     slab_tasks,
-    survey_slab,
-    surveyed,
 )
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.nouns.storage import NotStorable, stored_bytes
@@ -50,7 +49,7 @@ def image_of(rows: NDArray[np.uint64], stack: SliceStack) -> NDArray[np.uint8]:
 
 
 class EncodedSlab(NamedTuple):
-    """What a worker hands back.
+    """Result of a worker.
 
     Attributes
     ----------
@@ -95,7 +94,7 @@ def encode_slab(common: tuple[SampledSlices, Encoder], task: SlabTask) -> Encode
 
 
 def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
-    """Whether the layers of a stack are given to the workers of a run."""
+    """True if the layers of a stack are made by the workers of a run."""
     if not context.workers or not isinstance(stack, SampledSlices) or stack.is_kept:
         return False
     if not context.worth_workers(math.prod(stack.samples.shape)):
@@ -142,9 +141,9 @@ class DividedLayers:
     def __iter__(self) -> Iterator[bytes]:
         context, stack = self._context, self._stack
         nx, ny, _ = stack.shape
-        keep, known = stack.islands == "keep", stack.survey is not None
-        survey = None if keep else stack.survey or self._survey()
-        tasks = survey.tasks if survey is not None else slab_tasks(stack, *self._means)
+        keep, known = stack.islands == "keep", stack.island_pass is not None
+        island_pass = None if keep else stack.island_pass or self._find_islands()
+        tasks = island_pass.tasks if island_pass is not None else slab_tasks(stack, *self._means)
         wanted = [task._replace(shown=tuple(self._of(task))) for task in tasks]
         voxels, counts = 0, dict[str, int]()
         before, total = (0, len(tasks)) if keep or known else (len(tasks), 2 * len(tasks))
@@ -155,8 +154,10 @@ class DividedLayers:
                 self._show(layer, np.frombuffer(zlib.decompress(data), np.uint8).reshape(ny, nx))
             yield from made.layers
             context.progress(before + number, total, "slabs, encoded")
-        islands, told = ({}, stack.told(counts)) if survey is None else (survey.islands, survey.told)
-        self.findings = stack.findings(islands, voxels, told)
+        if island_pass is None:
+            self.findings = stack.findings({}, voxels, stack.summary_of_counts(counts))
+        else:
+            self.findings = stack.findings(island_pass.islands, voxels, island_pass.summary)
 
     @property
     def _means(self) -> tuple[int, int, int]:
@@ -166,12 +167,12 @@ class DividedLayers:
         m = self._stack.sublayers
         return [number for number in range(task.start // m, task.stop // m) if number in self._shown]
 
-    def _survey(self) -> Survey:
+    def _find_islands(self) -> IslandPass:
         context = self._context
         tasks = slab_tasks(self._stack, *self._means, context.shared_folder())
-        return surveyed(
+        return find_islands(
             self._stack,
             tasks,
-            lambda tasks: context.map(survey_slab, tasks, self._common),
+            lambda tasks: context.map(label_slab, tasks, self._common),
             lambda ready: context.progress(ready, 2 * len(tasks), "slabs, searched for islands"),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -30,7 +30,8 @@ MEASURED_CLOSELY, COARSEST = 127, 6
 """Cells up to which the porosity is measured at the full resolution, and voxels along an edge that many are given."""
 
 SPARE_SAMPLES = 2**20
-"""Samples of a box of cells that is measured at once though most of them are not there; a choice."""
+"""Samples of a box of cells that is measured at once though most of them are not there (heuristic: only speed depends
+on it)."""
 
 
 class Lattice(NamedTuple):
@@ -107,22 +108,22 @@ alone, so that none would lie on the far edges."""
 
 
 def laid_cells(made: Size, periodic: bool) -> float:
-    """How many cells are laid for a tiling of this size, its halo included."""
+    """Number of cells that are laid for a tiling of this size, its halo included."""
     if periodic:
         return made.cells
     x, y, z = (n + 2.0 * HALO for n in made.body.box)
     return min(x * y * z, made.cells + HALO * made.body.envelope)
 
 
-ROOM = 2
+TRIAL_BLOCKS = 2
 """Blocks along an edge of boxes that repeat, by which the porosity of scattered pores is known before they are laid."""
 
-TOLD = 64
-"""Cells, spread over the part, by which the errors that the last round leaves are told."""
+REPORTED_CELLS = 64
+"""Cells, spread over the part, on which the errors that the last round leaves are measured and reported."""
 
 
 class Scattering(NamedTuple):
-    """What is to be scattered, as options and inputs of `tile.scattered` say.
+    """Request for scattered pores, as options and inputs of `tile.scattered` say.
 
     Attributes
     ----------
@@ -171,14 +172,19 @@ def without_faces(
 
 @dataclass(frozen=True, kw_only=True)
 class Tiler(Stage):
-    """Base of tile rules: implement `lay`; `run` finds the cells that are needed.
+    """Base of tile rules: implement `lay`; `run` finds the cells that are needed, and cuts the field.
 
     Unless the box repeats, one more cell is laid on all sides, as if the box or part were cut out of a larger whole.
+    The level is that at which what was laid has the porosity asked for: tiles differ by some per cent in porosity, and
+    a box or part holds some of them more often than others.
     """
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
     cells: tuple[int, int, int] | None = options.cells(None)
     periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    porosity: float | None = options.porosity(None, note="that of the part or box; that of the tile set if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+    version: ClassVar[int] = 2
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
     advice: ClassVar[str] = "give larger cells or fewer of them"
 
@@ -206,7 +212,7 @@ class Tiler(Stage):
         """
 
     def estimate(self, palette: Palette, tileset: Size, cover: Size | None) -> Size:
-        return tiling_size(self.cell, self.cells, cover, tileset)
+        return measured_tiling(tiling_size(self.cell, self.cells, cover, tileset), self.resolution)
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""
@@ -222,13 +228,19 @@ class Tiler(Stage):
         halo = 0 if self.periodic else HALO
         mask = with_halo(lattice.mask, halo)
         interior, faces = checked_lay(self.name, self.lay(context.rng(), mask, tileset), mask, tileset)
+        # faces at both ends of a box that repeats are one
         if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
             raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
-        return Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
+        tiling = Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
+        porosity = tileset.target if self.porosity is None else self.porosity
+        if porosity is None:
+            return tiling
+        part = cover if self.cells is None else None  # a box lies where it lies, whatever mesh was read before
+        return at_porosity(context, tiling, part, porosity, self.resolution)
 
 
 def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
-    """What `lay` returned, if it is what it should be.
+    """Checked result of `lay`.
 
     Raises
     ------
@@ -261,7 +273,7 @@ def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet)
 def measured_per_edge(cells: float, resolution: int) -> int:
     """Voxels along the edge of a cell at which `at_porosity` measures so many cells.
 
-    Cells that are drawn one by one differ by some per cent in porosity, and those at the rim count by the share that
+    Cells that are drawn one by one differ by some percent in porosity, and those at the rim count by the share that
     lies in the part. So all of them are measured, and the more there are, the fewer samples each takes; fewer than
     `COARSEST` would see where in a cell they lie.
     """
@@ -275,6 +287,12 @@ def measured_voxels(cells: float, resolution: int) -> float:
     return cells * float(measured_per_edge(cells, resolution)) ** 3
 
 
+def measured_tiling(made: Size, resolution: int) -> Size:
+    """The size of a tiling with the work of `at_porosity`."""
+    measured = made.grid(measured_per_edge(made.cells, resolution))
+    return replace(made, samples=measured.samples, sums=measured.sums, resident=measured.samples)
+
+
 def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.int64], tuple[int, int, int]]]:
     """Low corners and shapes of boxes that hold these cells, (n, 3), each once.
 
@@ -284,6 +302,7 @@ def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.in
     lower, size = cells.min(0), np.ptp(cells, 0) + 1
     if size.prod() <= max(2 * len(cells), spare):
         return [(lower, (int(size[0]), int(size[1]), int(size[2])))]
+    # halves along the longest axis, until no box is mostly empty
     axis = int(size.argmax())
     low = cells[:, axis] < lower[axis] + size[axis] // 2
     return [*boxes_of(cells[low], spare), *boxes_of(cells[~low], spare)]
@@ -330,8 +349,9 @@ def at_porosity(
             f"no voxel of {per_edge} along a cell edge lies in the part, so that its porosity can't be measured",
             hint="raise `resolution`, or give smaller cells",
         )
+    # a quantile of G: the share of samples below the level is the solid
     micro = micro.with_level(level_for_porosity(samples, porosity).level)
-    return Tiling(TileSet(micro, tiling.tileset.kind, 0), tiling.arrays, tiling.edge, tiling.origin)
+    return replace(tiling, tileset=replace(tiling.tileset, micro=micro))
 
 
 def check_repeats(periodic: bool, cells: tuple[int, int, int] | None) -> None:

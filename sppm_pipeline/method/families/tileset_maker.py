@@ -27,9 +27,11 @@ class TileSetMaker(Stage):
     """Base of tile set stages: say what has to be drawn and how it is laid out on trial.
 
     The field of a tiling is one sum cut at one level, or it would jump at the faces. So the tiles of a set share their
-    level, their mean porosity is the target, and each single tile keeps its own porosity, which is reported.
+    level, their mean porosity is the target, and each single tile keeps its own porosity, which is reported. A box or
+    part holds some tiles more often than others, so a tile rule cuts the level once more, for what it has laid.
     """
 
+    version: ClassVar[int] = 2
     kind: ClassVar[str]
 
     porosity: float | None = options.porosity(None, note="the mean of the set; the recipe's own level if omitted")
@@ -38,7 +40,7 @@ class TileSetMaker(Stage):
 
     @abstractmethod
     def palette(self) -> Palette:
-        """What the recipe has to supply."""
+        """Palette that the recipe has to supply."""
 
     @abstractmethod
     def trial(self) -> list[TilingArrays]:
@@ -87,7 +89,8 @@ class TileSetMaker(Stage):
         interiors = np.concatenate([arrays.interior.ravel() for arrays in trial])
         count = np.bincount(interiors, minlength=micro.interiors)
         mean = np.bincount(interiors, np.concatenate(shares), micro.interiors) / np.maximum(count, 1)
-        return TileSet(micro, self.kind, self.palette_size(), tuple(float(v) for v in mean[count > 0]))
+        measured = tuple(float(v) for v in mean[count > 0])
+        return TileSet(micro, self.kind, self.palette_size(), measured, self.porosity)
 
     def _sums(
         self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int

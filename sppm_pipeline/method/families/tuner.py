@@ -40,7 +40,7 @@ class Varied(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Whether it takes integers only."""
+        """True if it takes integers only."""
         return isinstance(self.value, int) and not isinstance(self.value, bool)
 
     def at(self, number: float) -> Any:
@@ -210,7 +210,7 @@ def missed(
     spread : sequence of str
         Said behind each number that was reached.
     """
-    wish = " and ".join(f"{name} {target:g}" for name, target in zip(what, targets, strict=True))
+    goal = " and ".join(f"{name} {target:g}" for name, target in zip(what, targets, strict=True))
     best = found.best.numbers or ()
     known = [trial.numbers for trial in found.trials if trial.numbers is not None]
     ends = [f"{min(n[i] for n in known):.4g} to {max(n[i] for n in known):.4g}" for i in range(len(what))]
@@ -226,20 +226,20 @@ def missed(
     nearest = f"the nearest {'is' if len(what) == 1 else 'are'} {reached} at {place}"
     if found.why == "exhausted":
         return DesignError(
-            f"{wish} {'was' if len(what) == 1 else 'were'} not met after {len(found.trials)} {evaluations}; {nearest}",
+            f"{goal} {'was' if len(what) == 1 else 'were'} not met after {len(found.trials)} {evaluations}; {nearest}",
             hint="raise `evaluations` or `accuracy`",
         )
     if found.why == "jump":
         (x0, y0), (x1, y1) = _around(found, targets[0])
         return DesignError(
-            f"{wish} is not reachable: from {varied[0]} = {x0:.6g} to {x1:.6g} it jumps from {y0:.4g} to {y1:.4g}",
+            f"{goal} is not reachable: from {varied[0]} = {x0:.6g} to {x1:.6g} it jumps from {y0:.4g} to {y1:.4g}",
             hint="vary an option that changes it smoothly, or take the mean of more draws",
         )
     ranges = " and ".join(f"{n} from {a:g} to {b:g}" for n, a, b in zip(varied, low, high, strict=True))
     together = "is not reachable" if len(what) == 1 else "are not reachable together"
     widen = " and ".join(f"`{side}` of {name}" for name, side in zip(varied, sides, strict=True) if side)
     return DesignError(
-        f"{wish} {together} for {ranges}: there are {' and '.join(ends)}; {nearest}",
+        f"{goal} {together} for {ranges}: there are {' and '.join(ends)}; {nearest}",
         hint=f"move {widen} on, or change another option, such as the number of pores" if widen
         else "no bound stops it, as the best lies inside: change another option, such as the number of pores",
     )  # fmt: skip

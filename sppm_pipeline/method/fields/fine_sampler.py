@@ -52,7 +52,7 @@ class Span(NamedTuple):
     first: int
     samples: int
     own: list[tuple[slice, slice]]
-    """Where they go in the window: places among the samples of the span, and in the window."""
+    """Positions in the window: places among the samples of the span, and in the window."""
 
 
 class FineSampler:
@@ -178,7 +178,7 @@ class FineSampler:
         return self._sums
 
     def _coarse_rows(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
-        """What of each coarse row, in fine samples, is needed for the wanted part of each fine row; both (rows, 2)."""
+        """Span of each coarse row, in fine samples, needed for the wanted part of each fine row; both (rows, 2)."""
         first = self._taps[1].first - self._taps[1].first[0]
         rows = np.empty((len(self._window[1]), 2), np.int32)
         rows[:] = self.of[0].shape[0], 0

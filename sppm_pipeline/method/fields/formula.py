@@ -100,7 +100,7 @@ class FormulaField(PlacedField):
 
 
 def _checked(made: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """What `evaluate` returned, which may be as small as what it depends on: (nz,) for a function of z."""
+    """Checked result of `evaluate`, which may be as small as what it depends on: (nz,) for a function of z."""
     array = np.asarray(made)
     fits = array.ndim <= len(shape) and all(a in (1, b) for a, b in zip(array.shape[::-1], shape[::-1], strict=False))
     if array.dtype.kind not in "if" or not fits:
@@ -112,7 +112,7 @@ def _checked(made: Any, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 class CellCache:
-    """What was made for the cells that were asked for last."""
+    """Cache of the contents of the cells that were asked for last."""
 
     def __init__(self, most: int = MAX_KEPT) -> None:
         self._most = most
@@ -125,7 +125,7 @@ class CellCache:
             return list(self._made)
 
     def get(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What was made for `key`, or `make()`; two threads may make the same at once, which does no harm."""
+        """Cached value of `key`, or `make()`; two threads may make the same at once, which does no harm."""
         with self._lock:
             if key in self._made:
                 self._made.move_to_end(key)
@@ -146,7 +146,7 @@ class CellwiseField(PlacedField):
 
     @abstractmethod
     def prepare(self, cell: CellIndex) -> Any:
-        """What `evaluate` needs for a cell, a function of the cell's place alone."""
+        """Content of a cell for `evaluate`, a function of the cell's place alone."""
 
     @abstractmethod
     def evaluate(
@@ -204,7 +204,7 @@ def _rounded(positions: NDArray[np.float64], periodic: bool) -> NDArray[np.float
 
 
 def _any_wanted(rows: NDArray[np.int32], span: Span) -> bool:
-    """Whether a row's samples that matter, from the first to before the last, meet those of a span."""
+    """True if a row's samples that matter, from the first to before the last, meet those of a span."""
     first, last = np.maximum(rows[..., 0], span[1]), np.minimum(rows[..., 1], span[2])
     return bool((first < last).any())
 

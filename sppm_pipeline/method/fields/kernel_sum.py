@@ -51,7 +51,7 @@ class _Placed(NamedTuple):
     def bits(
         self, level: float, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint64]:
-        """Where G lies below the level."""
+        """Bits of the samples where G lies below the level."""
         from sppm_pipeline.method.assembly.overlap_add import assemble_bits
 
         rows = None if wanted is None else spans_in_any(wanted)
@@ -88,7 +88,7 @@ class KernelSum(ScalarField):
 
     @property
     def additive(self) -> bool:
-        """Whether G is the sum of those of its parts, and continuous; else `own_values` is what is sampled."""
+        """True if G is the sum of those of its parts, and continuous; else `own_values` is what is sampled."""
         return True
 
     @property
@@ -107,14 +107,14 @@ class KernelSum(ScalarField):
         return None
 
     def has_patches(self, n: int, offset: float) -> bool:
-        """Whether sampled pieces, n samples a cell edge, sample i at (i + offset) / n, pay.
+        """True if sampled pieces, n samples a cell edge, sample i at (i + offset) / n, pay.
 
         The answer belongs to the field: it is the same for every part that is sampled.
         """
         return False
 
     def has_patches_on(self, grid: Grid) -> bool:
-        """Whether the samples of a grid come from patches that pay; none are sampled to know."""
+        """True if the samples of a grid come from patches that pay; none are sampled to know."""
         lattice = _lattice_of(grid)
         return lattice is not None and self.has_patches(*lattice[:2])
 
@@ -124,7 +124,7 @@ class KernelSum(ScalarField):
 
     @property
     def patches_last(self) -> bool:
-        """Whether patches are used so often that sampling them finely costs less than to interpolate everywhere."""
+        """True if patches are used so often that sampling them finely costs less than to interpolate everywhere."""
         return False
 
     def sums(self, grid: Grid, threads: int = 1, wanted: NDArray[np.int32] | None = None) -> NDArray[np.float32]:
@@ -175,6 +175,7 @@ class KernelSum(ScalarField):
     def solid_bits(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint64]:
+        # the only way that makes bits without bytes in between
         summed = not self.periodic and self.additive and self._fine(grid, threads) is None
         if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
             return placed.bits(self.solid_below, start, stop, threads, wanted)
@@ -206,7 +207,9 @@ class KernelSum(ScalarField):
         from sppm_pipeline.method.fields.fine_sampler import FineSampler
         from sppm_pipeline.services.interpolation import TAPS
 
+        # a whole number of samples a cell, so that patches may serve them
         n = max(2, math.ceil(1.0 / pitch - 1e-9))
+        # coarse samples for each fine one: the taps overlap where the grid is coarse
         share = math.prod(min(TAPS, spacing * n) for spacing in grid.spacing)
         if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or not self.has_patches(n, 0.0)):
             return None
@@ -223,7 +226,7 @@ class KernelSum(ScalarField):
         levels: Levels | None = None,
         spline: Callable[[Grid, int, int], LayerSpline] | None = None,
     ) -> SignSampler | None:
-        """What finds out where the sum of kernels lies below the level, without its values, if that pays on a grid.
+        """Search for the samples below the level that does without their values, if that pays on a grid.
 
         The level is the field's own, or that of a spline of ln C.
         """
@@ -252,6 +255,7 @@ def _lattice_of(grid: Grid) -> tuple[int, float, list[tuple[int, int]]] | None:
             return None
         place = origin * n
         shift = place - np.floor(place + 1e-6)
+        # only centers and corners of voxels: a bank for every offset would not be used again
         if abs(shift) > 1e-6 and abs(shift - 0.5) > 1e-6:
             return None
         half = 0.5 if shift > 0.25 else 0.0

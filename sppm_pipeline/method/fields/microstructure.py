@@ -44,7 +44,7 @@ _TABLES: WeakKeyDictionary[Pieces, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def sampling_tables(pieces: Pieces) -> dict[Any, Any]:
-    """What was worked out to sample these kernels: patch banks and a catalog; it is freed with them.
+    """Tables made to sample these kernels: patch banks and a catalog; it is freed with them.
 
     The level does not enter but for patches of sixteen bits, which are kept for one level at a time; microstructures
     that differ in nothing else share the tables.
@@ -115,17 +115,18 @@ class Microstructure(KernelSum):
 
     @property
     def reach(self) -> float:
-        """How far, in cell sizes, a pore or tunnel is felt."""
+        """Largest reach of a pore or tunnel, cell sizes."""
         return max(float(reaches.max(initial=0)) for reaches in kernel_reaches(self.pieces.kernels, CUTOFF))
 
     @property
     def finest_radius(self) -> float | None:
         (_, mu), profile = steepest(self.pieces.kernels), self.pieces.kernels.profile
+        # at a level of 1 or more not even the axis of a single tunnel is void
         return TUNNEL_PROFILES[profile].radius(mu, self.level) if mu and self.level < 1 else None
 
     @property
     def stretched(self) -> bool:
-        """Whether kernels measure distances in metrics of their own."""
+        """True if kernels measure distances in metrics of their own."""
         return self.pieces.kernels.pore_metric is not None
 
     @property
@@ -185,7 +186,7 @@ class Microstructure(KernelSum):
         levels: Levels | None = None,
         spline: Callable[[Grid, int, int], LayerSpline] | None = None,
     ) -> SignSampler | None:
-        """What finds out where a layout is solid on a grid, without the values of G, if that pays.
+        """Search for the solid samples of a layout that does without the values of G, if that pays.
 
         At the level of the microstructure, or at those of a spline of ln C.
         """
@@ -237,7 +238,7 @@ class Microstructure(KernelSum):
     def laid_values(
         self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
     ) -> NDArray[np.float32]:
-        """What is sampled of a layout whose field is not `additive`: a continuous field with the sign of G - C."""
+        """Samples of a layout whose field is not `additive`: a continuous field with the sign of G - C."""
         values = self.laid_sums(arrays, grid, start, stop, threads)
         values -= np.float32(self.level)
         return values
@@ -325,6 +326,7 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     number[pores.interiors :] = pores.interiors + axis_of_piece[pores.interiors :] * most + of_face
     first, second = (pores.piece[graph.edges[:, end]] for end in range(2))
     on_face = axis_of_piece >= 0
+    # connectors make pieces of their own: which of them exist depends on the faces that meet
     crossing = np.flatnonzero(on_face[second] & ~on_face[first])
     face = second[crossing]
     axis, side = axis_of_piece[face], graph.shift[crossing].sum(1)
@@ -338,6 +340,7 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     del first, second, face, axis, side, code, crossing  # there may be millions
     tunnels, first_tunnel = _sorted_by(of_tunnel, count)
     del of_tunnel
+    # kernels by piece, so that a piece is a slice of all of them
     own, first_pore = _sorted_by(number[pores.piece], count)
     starts, ends = (frozen(points) for points in graph.sorted_segments(tunnels))
 

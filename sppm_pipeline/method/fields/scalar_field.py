@@ -25,7 +25,7 @@ class ScalarField(Artifact, ABC):
     """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
 
     It is no distance. Positions are in cell sizes, measured from the lattice origin; `edge_mm` and `origin_mm` say
-    where that is in the world. Nothing is computed before somebody samples it.
+    where that is in the world. Nothing is computed before it is sampled.
 
     Samples are indexed x, y, z. The program's own kernels go along rows of x, with z outermost; they get the same
     memory by `sample_zyx` and `solid_zyx`, at no cost if x is contiguous.
@@ -81,7 +81,7 @@ class ScalarField(Artifact, ABC):
         """Values in the layers start <= k < stop of a grid (cell sizes), (nx, ny, stop - start) float32.
 
         A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for. Any
-        order in memory will do; where x is contiguous nothing has to be copied. Nobody writes into what is handed out,
+        order in memory will do; where x is contiguous nothing has to be copied. The result is not modified,
         so it may be an array that the field keeps.
         """
 
@@ -120,7 +120,7 @@ class ScalarField(Artifact, ABC):
         return np.ascontiguousarray(self.sample_layers(grid, start, stop, threads).T)
 
     def slabs_in_threads(self, grid: Grid) -> bool:
-        """Whether threads may ask `solid_layers` for different layers of this grid at once, and gain by it.
+        """True if threads may ask `solid_layers` for different layers of this grid at once, and gain by it.
 
         What they share is prepared by this call.
         """
@@ -135,7 +135,7 @@ class ScalarField(Artifact, ABC):
     def solid_bits(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint64]:
-        """`solid_layers` as bits, (stop - start, ny, words), see `numerics.bit_rows`; a class may make them at once."""
+        """`solid_layers` as bits, (stop - start, ny, words), see `services.bit_rows`; a class may make them at once."""
         from sppm_pipeline.services.bit_rows import pack
 
         return pack(self.solid_zyx(grid, start, stop, threads, wanted))
@@ -218,7 +218,7 @@ class WrappedField(ScalarField):
     base: ScalarField
 
     def check(self) -> None:
-        """The field it was made from is in order; what is evaluated anew is not sampled for this."""
+        """The field it was made from is in order; values that are evaluated again are not sampled for this."""
         self.base.check()
 
     @property
@@ -261,7 +261,7 @@ class WrappedField(ScalarField):
 class CutField(WrappedField):
     """A field less a constant: solid where the field is smaller than `value`.
 
-    What `ScalarField.cut_at` makes of a field that knows no better name for it, such as a radius or a level.
+    Made by `ScalarField.cut_at` of a field that has no parameter for it, such as a radius or a level.
 
     Attributes
     ----------

@@ -28,12 +28,15 @@ class TileSet(Artifact):
         c: face colors, or corner colors for "corner".
     porosity : tuple of float
         Porosity of each interior among copies of itself, as measured when the set was made; empty if not measured.
+    target : float or None
+        Porosity that was asked for, to which tile rules cut what they have laid; None for the recipe's own level.
     """
 
     micro: Microstructure
     kind: str
     palette_colors: int
     porosity: tuple[float, ...] = ()
+    target: float | None = None
 
     def check(self) -> None:
         """Interiors for all combinations of colors where there must be, and porosities between 0 and 1."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.kernels.signs import Levels
 
 USES_OF_A_PATCH = 4
-"""How many cells a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
+"""Number of cells that a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
 
 LASTING_USES = 30
 """Uses of a patch from which it is sampled at the pixels themselves, where these divide the cell: further layers of a
@@ -31,7 +31,8 @@ plate, where each of 27 is used 70 times, take 1.6 ns a voxel so, and 2.9 interp
 SMALL_BANK, LARGE_BANK = 256 * 2**20, 768 * 2**20
 """Bytes that the patches of a small tiling, and of one of `LASTING_USES`, may take; otherwise kernels are summed.
 
-Patches of more bytes than those of a small tiling have sixteen bits a sample where only solid and void are told apart.
+Patches of more bytes than those of a small tiling have sixteen bits a sample where only solid and void are
+distinguished.
 """
 
 
@@ -64,6 +65,7 @@ class Tiling(KernelSum):
         if not (self.edge is None or 0 < self.edge < np.inf) or not np.isfinite(self.origin).all():
             raise ValueError(f"the edge of a cell is a positive length, its origin a place: {self.edge}, {self.origin}")
         interior, c = self.arrays.interior, self.tileset.palette_colors
+        # in the paper's set the number of an interior spells the colors of its faces
         own = (interior // c**2, interior // c % c, interior % c) if self.tileset.kind == "wang" else None
         for axis in np.flatnonzero(self.tileset.micro.colors):
             for side in range(2):
@@ -146,7 +148,7 @@ class Tiling(KernelSum):
         return self._uses_of_a_patch() >= LASTING_USES
 
     def _uses_of_a_patch(self) -> float:
-        """How many cells there are for each patch."""
+        """Mean number of cells for each patch."""
         combinations = self.tileset.combinations()
         count = len(combinations) if combinations is not None else self.tileset.micro.pieces.interiors
         return np.count_nonzero(self.arrays.box >= 0) / count
@@ -154,6 +156,7 @@ class Tiling(KernelSum):
     def has_patches(self, n: int, offset: float) -> bool:
         uses = self._uses_of_a_patch()
         # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
+        # cells that are drawn one by one never repeat
         if not self.additive or self.tileset.kind in ("fresh", "scattered") or uses < USES_OF_A_PATCH:
             return False
         return self._bank_bytes(n, offset) <= (LARGE_BANK if uses >= LASTING_USES else SMALL_BANK)
@@ -168,7 +171,7 @@ class Tiling(KernelSum):
         return int(tables[key])
 
     def _table(self, n: int, offset: float, what: object) -> tuple[dict[Any, Any], object]:
-        """Where something about the patches is kept."""
+        """Table and key under which something about the patches is kept."""
         key = (self.tileset.kind, self.tileset.palette_colors, n, offset, what)
         return sampling_tables(self.tileset.micro.pieces), key
 
@@ -177,7 +180,7 @@ class Tiling(KernelSum):
 
         if not self.has_patches(n, offset):
             return None
-        # what takes much memory is kept in sixteen bits, where only solid and void are told apart
+        # what takes much memory is kept in sixteen bits, where only solid and void are distinguished
         level = self.solid_below if solid and self._bank_bytes(n, offset) > SMALL_BANK else None
         tables, key = self._table(n, offset, level)
         if key not in tables:

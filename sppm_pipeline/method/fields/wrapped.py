@@ -40,10 +40,12 @@ class CleanedField(WrappedField):
         nz, ny, nx = self.floating.shape
         place = []
         for axis, n in ((2, nz), (1, ny), (0, nx)):
+            # samples on the border of two voxels belong to the upper one, whatever their rounding
             voxel = np.floor(grid.axis(axis) * self.per_cell + 1e-9).astype(np.int64)
             place.append(voxel % n if self.periodic else np.clip(voxel, 0, n - 1))
         place[0] = place[0][start:stop]
         inverted = self.floating[np.ix_(*place)].view(bool)
+        # only the solid is inverted: void beside an island stays void
         inverted &= values < 0
         return np.where(inverted, -values, values).T
 

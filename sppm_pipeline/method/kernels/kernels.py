@@ -31,7 +31,7 @@ class Kernels(NamedTuple):
     profile : str
         Name of the tunnels' profile, a key of `TUNNEL_PROFILES`.
     pore_metric : (n, 6) float64, optional
-        Metrics of the pores, see `numerics.metric`; plain distances if omitted.
+        Metrics of the pores, see `services.metric`; plain distances if omitted.
     tunnel_metric : (m, 6) float64, optional
         Metrics of the tunnels; there are both or none.
     """
@@ -153,7 +153,7 @@ def reach_boxes(
 def half_boxes(
     kernels: Kernels, pores: slice | NDArray[np.int64], tunnels: slice | NDArray[np.int64], cutoff: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far some pores, (n, 1 or 3), and tunnels, (m, 1 or 3), reach along each axis, or along all."""
+    """Reach of some pores, (n, 1 or 3), and tunnels, (m, 1 or 3), along each axis, or along all."""
     omega, mu = _rows(kernels.omega, pores), _rows(kernels.mu, tunnels)
     reaches = PORE_PROFILE.reach(omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(mu, cutoff)
     of_pores, of_tunnels = (reach[:, None] for reach in reaches)

@@ -62,7 +62,7 @@ def void_at_level(
     most: float,
     width: int,
 ) -> tuple[int, int, int, int]:
-    """Samples of a cell that count, and how far they lie above the level, each no more than a width tells apart.
+    """Samples of a cell that count, and their distance above the level, clipped to the width that the count resolves.
 
     Parameters
     ----------

@@ -38,6 +38,7 @@ def _add_balls(
     a, b, c, d, e, f = u[0], u[1], u[2], u[3], u[4], u[5]
     ox, oy, oz = u[6], u[7], u[8]
     for i in range(n):
+        # U is upper triangular: the square root of a metric needs six numbers, not nine
         px = a * x[i] + b * y[i] + c * z[i] + ox
         py = d * y[i] + e * z[i] + oy
         pz = f * z[i] + oz
@@ -82,7 +83,7 @@ def _near(
     reach: np.float32,
     near: NDArray[np.uint8],
 ) -> None:
-    """Whether the first n of the listed kernels, see `_list`, come near a box."""
+    """True if one of the first n listed kernels, see `_list`, comes near a box."""
     mx, my, mz, hx, hy, hz = mid[0], mid[1], mid[2], half[0], half[1], half[2]
     for i in range(n):
         x, y, z = mx - seen[0, i], my - seen[1, i], mz - seen[2, i]
@@ -119,7 +120,7 @@ def _by_rows(
     side: float,
     rows: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where the kernels of each row of bricks, `side` wide, begin in a list, and that list; each row is in order."""
+    """Start of the kernels of each row of bricks, `side` wide, in a list, and that list; each row is in order."""
     begin = np.zeros(rows + 1, np.int64)
     first, last = np.empty(len(capsules), np.int32), np.empty(len(capsules), np.int32)
     for i in range(len(capsules)):
@@ -260,6 +261,7 @@ def _resolve(
     u = np.empty(13, np.float32)
     next_open, last_open = np.empty(by * bz, np.int64), np.empty(by * bz, np.int64)
     pore_reach2, tunnel_reach2 = np.float32(pore_reach * pore_reach), np.float32(tunnel_reach * tunnel_reach)
+    # a little more, as distances of boxes are rounded in float32
     pore_reach1, tunnel_reach1 = np.float32(pore_reach * 1.0001), np.float32(tunnel_reach * 1.0001)
     each = len(levels) > 1
     row_start0 = row_start - row_start % by
@@ -271,6 +273,7 @@ def _resolve(
         high_z = origin[2] + (first_layer + k1 - 1) * spacing[2]
         anchor[2] = origin[2] + brick_z * bz * spacing[2]
         side = origin[1] + row_start0 * spacing[1], by * spacing[1]
+        # kernels sorted by row of bricks: a row then looks at its own instead of all
         pores_from, row_pores = _by_rows(pores, low_z, high_z, *side, rows)
         tunnels_from, row_tunnels = _by_rows(tunnels, low_z, high_z, *side, rows)
         for row in range(rows):
@@ -293,6 +296,7 @@ def _resolve(
                 if n == 0:
                     continue
                 anchor[0] = origin[0] + i0 * spacing[0]
+                # kernels near a run of bricks are listed once, as they are the same for most of them
                 if i0 >= listed:
                     listed_from, listed = i0, i0 + _LONG * bx
                     ends = anchor[0], origin[0] + (listed - 1) * spacing[0], anchor
@@ -309,6 +313,7 @@ def _resolve(
                         tunnel_list,
                     )
                 padded = (n + LANES - 1) // LANES * LANES
+                # a copy of the first sample fills the last vector; its sum is not used
                 for m in range(n, padded):
                     place[m] = place[0]
                 _put(place, np.uint64(padded), hx, hy, hz, x, y, z)

@@ -129,16 +129,6 @@ def omega_from_radius(radius: float, level: float) -> float:
     return PORE_PROFILE.mu(radius, level, "pore radius")
 
 
-def pore_radius(omega: float, level: float) -> float:
-    """Radius of an isolated pore, the inverse of `omega_from_radius`."""
-    return PORE_PROFILE.radius(omega, level, "pore size parameter omega")
-
-
-def omega_in_cell_units(omega: float, edge: float) -> float:
-    """`omega` for lengths counted in cell sizes: ``omega * edge^2``."""
-    return PORE_PROFILE.in_cell_units(omega, edge, "pore size parameter omega")
-
-
 def check_cutoff(cutoff: float) -> float:
     """The cut-off, after a check that it lies in [1e-12, 0.5].
 

@@ -54,6 +54,7 @@ def exp2_minus(r: np.float32) -> np.float32:
     """2^-r for r >= 0, relative error below 3e-7; the exponent is subtracted from the bits of the mantissa."""
     r = min(r, _LAST)
     whole = np.int32(r)
+    # 2^-r is 2^-f, a polynomial, with the whole part subtracted from the exponent's bits
     f = r - np.float32(whole)
     p = ((((_P5 * f + _P4) * f + _P3) * f + _P2) * f + _P1) * f + _P0
     return np.int32(np.float32(p).view(np.int32) - np.int32(whole << np.int32(23))).view(np.float32)
@@ -76,6 +77,7 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
 def clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
     """Write first sample and number of blocks of row i; the row covers at least low <= x <= high where it is wanted."""
     first = max(np.float32(np.ceil(low)), table[_WANTED_FROM + i])
+    # an empty chord has high < low, and so no blocks
     last = min(np.float32(np.floor(high)), table[_WANTED_TO + i])
     blocks = np.float32(np.floor((last - first) * np.float32(1.0 / LANES))) + _ONE
     blocks = blocks if last >= first else _ZERO
@@ -119,6 +121,7 @@ def point_rows(
     for i in range(_LANES):
         y = dy + step * np.float32(np.int32(i))
         aside2 = y * y + dz * dz
+        # Pythagoras: half the chord that the row cuts out of the ball of reach
         chord2 = reach * reach - aside2
         chord = np.float32(math.sqrt(max(chord2, _ZERO))) * inverse
         clip_rows(table, center - chord, center + chord if chord2 >= _ZERO else -_FAR, nx, i)
@@ -191,6 +194,7 @@ def tunnel_rows(
     length = axis[6]
     for i in range(_LANES):
         y = dy + step * np.float32(np.int32(i))
+        # the row's offset in the plane of x and the segment, and out of this plane
         t = y * ny + dz * nz
         w = dz * ny - y * nz
         rest = w * w
@@ -205,6 +209,7 @@ def tunnel_rows(
         low = min(-near if near2 >= _ZERO else _FAR, ux * length - end if end2 >= _ZERO else _FAR)
         high = max(near if near2 >= _ZERO else -_FAR, ux * length + end if end2 >= _ZERO else -_FAR)
         cylinder = slanted & (radius2 >= _ZERO)
+        # where the row enters and leaves the cylinder, as places along the segment
         left = (t - radius * ux) * over_ua
         right = (t + radius * ux) * over_ua
         has_left = cylinder & (left >= _ZERO) & (left <= length)
@@ -243,6 +248,7 @@ def add_tunnel_rows(
             x = np.float32(np.int32(i))
             v = across + across_step * x
             s = along + along_step * x
+            # 0 beside the segment, else the way past its nearer end
             beyond = s - min(max(s, _ZERO), length)
             out[target + i] += exp2_minus(exponent(np.float32(v * v + rest + beyond * beyond)))
 
@@ -251,7 +257,7 @@ def compiled_for(profile: TunnelProfile, add: Callable[..., None]) -> Callable[.
     """A function that calls `add_tunnel_rows`, compiled for one profile: its exponent is inlined into the inner loop.
 
     A function that is handed to a compiled one would be called through a pointer for every sample, or be compiled
-    anew in every process; copies under names of their own are neither, and Numba keeps them on disk.
+    again in every process; copies under names of their own are neither, and Numba keeps them on disk.
     """
     add_rows = inline_jit(specialized(add_tunnel_rows, profile.name, exponent=inline_jit(profile.exponent)))
     return jit(specialized(add, profile.name, add_tunnel_rows=add_rows))

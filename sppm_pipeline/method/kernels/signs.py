@@ -1,4 +1,4 @@
-"""Where a sum of kernels lies below a level: bounds around the sum on a coarse grid decide most samples.
+"""Samples of a sum of kernels below a level: bounds around the sum on a coarse grid decide most samples.
 
 Kernels ``exp(-f)`` have a convex f: a multiple of a distance, or of its square. Let a sample m lie between coarse
 samples c, their mean with weights w_c that add up to one, no more than H apart along an axis. Then for each kernel k:
@@ -33,17 +33,17 @@ STEEPEST = 0.36
 DROPPED = 200
 """Kernels that end near a sample, each of them below the cut-off, that the bounds allow for."""
 
-MOST_DRIFT = 0.2
+MAX_DRIFT = 0.2
 """Largest change of ln C from one coarse sample to the next along all axes."""
 
 UNDECIDED = 2
 """Marks a sample that the bounds leave open."""
 
-_MOST_STEPS = 8
+_MAX_STEPS = 8
 
 
 class Bounds(NamedTuple):
-    """How samples are decided.
+    """Steps and bounds by which samples are decided.
 
     Attributes
     ----------
@@ -100,23 +100,27 @@ def find_bounds(
     if not 0.0 < levels.least <= levels.most < 1.0:
         return None
     kinds = [(kind, m) for kind, m in ((PORE_PROFILE, omega), (TUNNEL_PROFILES[profile], mu)) if m > 0]
+    # steepest slope of f, squared: mu for a distance; of a square, 2 mu d where the kernel is cut off
     slope2 = max((m * m if kind.power == 1 else 4 * m * math.log(1 / cutoff) for kind, m in kinds), default=0.0)
     if slope2 == 0.0:
         return None
     apart = math.sqrt(8 * STEEPEST / slope2)
-    x, y, z = (max(1, min(_MOST_STEPS, int(apart / h + 1e-9))) for h in spacing)
+    x, y, z = (max(1, min(_MAX_STEPS, int(apart / h + 1e-9))) for h in spacing)
+    # with fewer fine samples for each coarse one, the bounds cost more than they save
     if x * y * z < 4:
         return None
     drift = levels.slope * sum(s * h for s, h in zip((x, y, z), spacing, strict=True))
-    if drift > MOST_DRIFT:
+    if drift > MAX_DRIFT:
         return None
     slack = DROPPED * cutoff
     solid, void = np.empty(8), np.empty(8)
     for number in range(8):
         between = [s * h if number & 1 << a else 0.0 for a, (s, h) in enumerate(zip((x, y, z), spacing, strict=True))]
+        # w (1 - w) H^2 is largest in the middle, where w is 1/2
         spread = sum(side * side for side in between) / 4
         far = 0.0
         for kind, m in kinds:
+            # at the highest level the radius is smallest, and the bound weakest
             d = float(kind.radius(m, levels.most))
             far = max(far, m * (math.sqrt(d * d + spread) - d) if kind.power == 1 else m * spread)
         solid[number] = levels.mean * (1 - slack / levels.least) * math.exp(-far - drift)
@@ -152,6 +156,7 @@ def crowd_of(centers: NDArray[np.float64], reach: float) -> int:
     """A number that the points within `reach` of any place do not exceed: those of 27 cubes."""
     if not len(centers):
         return 0
+    # a ball of the radius `reach` meets at most 3 cubes of this edge along each axis
     place = np.floor((centers - centers.min(0)) / reach).astype(np.int64)
     counts = np.zeros(place.max(0) + 3, np.int64)
     np.add.at(counts, tuple(place.T + 1), 1)
@@ -175,7 +180,7 @@ def coarse_layers(start: int, stop: int, step: int) -> tuple[int, int]:
 
 
 def coarse_rows(wanted: NDArray[np.int32], steps: tuple[int, int, int], start: int, coarse: Grid) -> NDArray[np.int32]:
-    """What coarse rows are asked for where fine ones, (layers, ny, 2) from layer `start` on, are."""
+    """Coarse rows that are wanted where fine ones, (layers, ny, 2) from layer `start` on, are."""
     first, stop = coarse_layers(start, start + len(wanted), steps[2])
     out = np.empty((stop - first, coarse.shape[1], 2), np.int32)
     out[..., 0], out[..., 1] = coarse.shape[0], 0
@@ -231,7 +236,7 @@ def _judge(
     void: np.float32,
     out: NDArray[np.uint8],
 ) -> None:
-    """Whether samples between coarse ones, of which there is one more, are solid (1), void (0) or open (2)."""
+    """Classify samples between coarse ones, of which there is one more: solid (1), void (0) or open (2)."""
     one, near = np.uint64(1), np.float32(1) - weight
     for i in range(start, stop):
         value = near * row[i] + weight * row[i + one]
@@ -310,6 +315,7 @@ def decide_rows(
             if begin >= end:
                 continue
             q, wy = j // sy - first_row, j % sy
+            # samples on a coarse plane or row lie between fewer coarse ones, and have tighter bounds
             kind = 2 * int(wy > 0) + 4 * int(wz > 0)
             low, high = np.uint64(begin // sx), np.uint64((end - 1) // sx + 1)
             _mix(
@@ -337,6 +343,7 @@ def decide_rows(
                 target[x] = whole[x]
             whole[begin // 8 * 8 : begin] = 0
             whole[end : (end + 7) // 8 * 8] = 0
+            # eight marks at once: most words hold none that is open
             for word in range(begin // 8, (end + 7) // 8):
                 if words[word] & marks:
                     for x in range(8 * word, 8 * word + 8):

@@ -106,7 +106,7 @@ class Prepared(NamedTuple):
 def prepared(
     kernels: Kernels, grid: Grid, cutoff: float = DEFAULT_CUTOFF, first_layer: int = 0, layers: int | None = None
 ) -> Prepared:
-    """What `add_prepared` needs to know of kernels for some layers of a grid, all of them unless given.
+    """Arguments of `add_prepared` for some layers of a grid, all of them unless given.
 
     Raises
     ------
@@ -117,6 +117,7 @@ def prepared(
     span = grid.layers(first_layer, first_layer + (grid.shape[2] if layers is None else layers))
     points, tunnels = _packed(kernels)
     stretched = kernels.pore_metric is not None
+    # nothing to add: the compiled sums are not even loaded
     if len(points) + len(tunnels) == 0 or 0 in span.shape:
         points, tunnels = points[:0], tunnels[:0]
     elif stretched:
@@ -157,6 +158,7 @@ def add_prepared(
     spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
     # Balance: at least four blocks a thread, as long as there are layers.
+    # blocks of layers are disjoint, so that threads never write to the same sample
     height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
 
     width = 0 if stretched else 2 * int(pore_reach / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
@@ -198,6 +200,7 @@ def _packed(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     points[:, 3] = PORE_PROFILE.scale(kernels.omega)
     tunnels = np.empty((len(kernels.starts), 8))
     along = kernels.ends - kernels.starts
+    # einsum sums in a fixed order, unlike a product of BLAS
     length = np.sqrt(np.einsum("ij,ij->i", along, along))
     tunnels[:, :3] = kernels.starts
     tunnels[:, 3:6] = (1.0, 0.0, 0.0)
@@ -311,6 +314,7 @@ def _add_tunnels(
         if y0 > y1:
             continue
         across = math.sqrt(tunnels[p, 4] ** 2 + tunnels[p, 5] ** 2)
+        # nearly along x the division by `across` would lose all digits; the end balls then cut the row
         slanted = across > 1e-6
         axis[0] = tunnels[p, 3]
         axis[1] = across

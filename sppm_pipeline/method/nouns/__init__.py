@@ -1,1 +1,1 @@
-"""What passes between the stages of the method: pores, tunnels, meshes, voxels, printers, stiffness."""
+"""Artifacts that pass between the stages of the method: pores, tunnels, meshes, voxels, printers, stiffness."""

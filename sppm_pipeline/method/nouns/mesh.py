@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +23,10 @@ from sppm_pipeline.nouns.artifact import (
 )
 from sppm_pipeline.services.paging import blocks
 
-_MOST_VERTICES = 2**31 - 1
+if TYPE_CHECKING:
+    from sppm_pipeline.services.mesh.outer_surface import OuterSurface
+
+_MAX_VERTICES = 2**31 - 1  # faces are int32
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +81,12 @@ class SurfaceMesh(Viewable):
         mesh.__dict__["_measured"] = box_and_volume  # where the property would keep them
         return mesh
 
+    def with_volume(self, volume: float) -> SurfaceMesh:
+        """The same mesh with the volume of its union; not a number if it encloses none."""
+        made = replace(self)
+        made.__dict__.update(self.__dict__, _measured=(self.lower, self.upper, volume))
+        return made
+
     @classmethod
     def handed_on(
         cls,
@@ -92,7 +102,7 @@ class SurfaceMesh(Viewable):
 
     @property
     def is_whole(self) -> bool:
-        """Whether there are arrays; not so of a mesh that was given away in pieces, which nobody else asks for."""
+        """True if there are arrays; a mesh that was given away in pieces has none."""
         return "_counts" not in self.__dict__
 
     @property
@@ -114,6 +124,7 @@ class SurfaceMesh(Viewable):
         ResourceError
             If trimesh is not installed.
         """
+        # without `process` trimesh neither merges nor drops vertices
         return optional_module("trimesh").Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
 
     def to_pyvista(self) -> Any:
@@ -130,6 +141,7 @@ class SurfaceMesh(Viewable):
         """Finite vertices, indices in range."""
         if not self.is_whole:
             return  # those who took the pieces have seen to it
+        # in blocks, as a mesh may lie in a file that is larger than the memory
         for rows in blocks(len(self.vertices), self.vertices):
             if not np.isfinite(self.vertices[rows]).all():
                 raise ValueError("mesh vertices must be finite")
@@ -142,10 +154,20 @@ class SurfaceMesh(Viewable):
 
     @cached_property
     def bounds_solid(self) -> bool:
-        """Whether the triangles bound a volume; if not, what is inside is a matter of votes."""
+        """True if the triangles bound a volume; if not, rays vote on what is inside."""
         from sppm_pipeline.services.mesh.measures import edge_counts
 
         return edge_counts(self.faces).bounds_solid
+
+    @cached_property
+    def outer_surface(self) -> OuterSurface | None:
+        """The surface of the union of its shells, if some of its triangles lie within others; else None.
+
+        The faces must be wound outwards.
+        """
+        from sppm_pipeline.services.mesh.outer_surface import outer_surface
+
+        return outer_surface(self.vertices, self.faces)
 
     @cached_property
     def _measured(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
@@ -177,7 +199,7 @@ class SurfaceMesh(Viewable):
         return render_mesh(self.vertices, self.faces, size=NOTEBOOK_SIZE)
 
     def summary(self) -> dict[str, Any]:
-        """Counts, box and signed volume."""
+        """Counts, box and signed volume, None if there is none."""
         vertices, triangles = self.counts
         if not triangles:
             return {"name": self.name, "vertices": vertices, "triangles": 0}
@@ -186,7 +208,7 @@ class SurfaceMesh(Viewable):
             "vertices": vertices,
             "triangles": triangles,
             "size_mm": [float(v) for v in self.upper - self.lower],
-            "volume_mm3": self._measured[2],
+            "volume_mm3": None if math.isnan(self._measured[2]) else self._measured[2],
         }
 
 
@@ -226,11 +248,12 @@ class RepeatedMesh(Artifact):
             If it would have more vertices than 32 bits count.
         """
         n, copies = len(self.mesh.vertices), len(self.offsets)
-        if n * copies > _MOST_VERTICES:
+        if n * copies > _MAX_VERTICES:
             raise DesignError(
-                f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MOST_VERTICES}",
+                f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MAX_VERTICES}",
                 hint="write a .glb file or `copies: components`, which place copies, or slice without a mesh",
             )
+        # copies are not merged where they touch, so each stays closed
         vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(-1, 3)
         faces = (np.arange(copies, dtype=np.int32)[:, None, None] * np.int32(n) + self.mesh.faces).reshape(-1, 3)
         return SurfaceMesh(vertices, faces, name=self.mesh.name)

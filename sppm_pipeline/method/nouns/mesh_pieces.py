@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class ExpectedSize(NamedTuple):
-    """What is known for certain of a mesh before there is any of it.
+    """Size of a mesh that is about to be made, certain.
 
     Attributes
     ----------
@@ -35,10 +35,10 @@ class ExpectedSize(NamedTuple):
 
 
 class PieceTaker(Protocol):
-    """Works on the pieces of a mesh while the next ones are made, as whoever writes a file does."""
+    """Consumer of the pieces of a mesh while the next ones are made, such as the writer of a file."""
 
-    def begin(self, foreseen: ExpectedSize) -> bool:
-        """Whether such a mesh can be taken in pieces; called before anything else, once for each try."""
+    def begin(self, expected: ExpectedSize) -> bool:
+        """Return whether such a mesh can be taken in pieces; called before anything else, once for each try."""
 
     def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
         """Take the next piece.
@@ -56,7 +56,7 @@ class PieceTaker(Protocol):
         """
 
     def finish(self) -> bool:
-        """Whether it has all, and all was as foreseen; if not, nothing of it is used."""
+        """Return whether the mesh is complete and of the expected size; if not, nothing of it is used."""
 
     def drop(self) -> None:
-        """Forget what it has."""
+        """Discard all pieces."""

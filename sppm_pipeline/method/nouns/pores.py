@@ -15,7 +15,7 @@ from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.distinct import distinct
 
 _ROUNDING = 1e-9
-"""How far, in cell sizes, a pore may lie outside of its cell by rounding."""
+"""Distance, in cell sizes, that a pore may lie outside of its cell by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class PoreSet(Artifact):
 
     def __post_init__(self) -> None:
         centers = in_rows(np.asarray(self.centers, np.float64), 3, "pore centers")
-        # of a view a copy is made, so that the array of whoever calls stays theirs
+        # a view is copied, so that the caller's array stays writable
         object.__setattr__(self, "centers", frozen(centers.reshape(-1, 3)))
         object.__setattr__(self, "piece", frozen(whole_numbers(self.piece, np.int32, "the pieces of pores")))
 
@@ -105,6 +105,7 @@ class PoreSet(Artifact):
             raise ValueError("pores of blocks are sorted by block, and none lies on a face")
         for axis in range(3):
             on_face = self.axis_of_piece()[self.piece] == axis
+            # exactly 0: both cells at a face add the same kernel, bit for bit
             if on_face.any() and np.abs(self.centers[on_face, axis]).max() > 0:
                 raise ValueError(f"face pores perpendicular to axis {axis} must have coordinate 0 there")
         # 0.0 is added as -0.0 has other bytes than 0.0
@@ -118,7 +119,7 @@ class PoreSet(Artifact):
 
     @property
     def has_faces(self) -> bool:
-        """Whether pores were put on the faces of the cell."""
+        """True if there are pores on the faces of the cell."""
         return sum(self.colors) > 0
 
     def axis_of_piece(self) -> NDArray[np.int64]:
@@ -130,6 +131,7 @@ class PoreSet(Artifact):
         lying = (self.piece >= self.interiors) & ((self.centers == 0).sum(1) > 1)
         low = distinct(self.centers[lying], axis=0)
         for axis in range(3):
+            # one of a face is seen on the opposite face as well
             low = np.concatenate([low, low[low[:, axis] == 0] + np.eye(3)[axis]])
         return low
 
@@ -156,6 +158,7 @@ class PoreSet(Artifact):
     def by_piece(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pores in the order of their pieces, (n,) int64, and where each piece begins there, (pieces + 1,) int64."""
         count = np.bincount(self.piece, minlength=self.interiors + sum(self.colors))
+        # stable, so that pores of a piece keep the order in which they were thrown
         return np.argsort(self.piece, kind="stable"), np.concatenate([[0], np.cumsum(count)])
 
     def extended(self, centers: NDArray[np.float64], piece: NDArray[np.int32], **changes: Any) -> PoreSet:
@@ -172,6 +175,7 @@ class PoreSet(Artifact):
     def per_cell(self) -> float:
         """Mean number of pores of one cell, each face counted once."""
         axis_of_pore = self.axis_of_piece()[self.piece]
+        # a cell shows one pattern of each axis
         faces = sum(float((axis_of_pore == axis).sum()) / self.colors[axis] for axis in range(3) if self.colors[axis])
         return faces + float((axis_of_pore < 0).sum()) / self.interiors
 

@@ -37,12 +37,12 @@ def _within(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """How the plate moves between two exposures; of each pair, the first is for bottom layers.
+    """Motion of the plate between two exposures; of each pair, the first is for bottom layers.
 
     Attributes
     ----------
     lift_mm : pair of floats
-        How far the plate is lifted and lowered again.
+        Distance that the plate is lifted and lowered again.
     lift_mm_min, retract_mm_min : pair of floats
         Speeds, mm a minute.
     wait_before_cure_s, wait_after_cure_s, wait_after_lift_s : pair of floats
@@ -84,7 +84,7 @@ class Printer:
     height_mm : float
         Largest height of a part.
     layer_mm : pair of floats
-        Smallest and largest layer height; a choice of ours where the source names none.
+        Smallest and largest layer height; where the source names none, the usual range of such printers.
     mirror_x, mirror_y : bool
         Whether the order of the columns or rows of its pictures is reversed.
     portrait : bool
@@ -98,7 +98,7 @@ class Printer:
     source : str
         Where these numbers were read.
     verified_on_hardware : bool
-        Whether somebody has printed a file of this program with this card.
+        Whether a file of this program has been printed with this card.
     """
 
     name: str
@@ -137,7 +137,7 @@ class Printer:
         return *self.display_mm, self.height_mm
 
     def contradiction(self) -> str | None:
-        """What can't be true of a printer; None if all can."""
+        """Description of an impossible property of the printer; None if all are possible."""
         if self.format not in FORMATS:
             return f"`format` is {self.format!r}; it is one of {', '.join(FORMATS)}"
         x, y = self.pixel_mm
@@ -153,7 +153,7 @@ class Printer:
         return None
 
     def holds(self, size_mm: Iterable[float]) -> bool:
-        """Whether a part of a size along x, y, z fits in as it lies."""
+        """Test whether a part of a size along x, y, z fits in as it lies."""
         return all(side <= room * (1 + 1e-9) for side, room in zip(size_mm, self.volume_mm, strict=True))
 
     def require_layer(self, height: float) -> None:
@@ -164,6 +164,7 @@ class Printer:
         ConfigError
         """
         low, high = self.layer_mm
+        # heights given as text may be rounded
         if not low * (1 - CLOSE) <= height <= high * (1 + CLOSE):
             raise ConfigError(
                 f"`layer` is {height:g} mm; {self.name} prints layers of {low:g} to {high:g} mm",
@@ -194,6 +195,7 @@ class Printer:
         part = x, y, z = tuple(size_mm)
         if self.holds(part):
             return
+        # the smallest by volume; the name decides between equals, so that the message is always the same
         larger = sorted((o for o in others if o.holds(part)), key=lambda o: (math.prod(o.volume_mm), o.name))
         hints = ["turned by 90 degrees about z it fits"] if self.holds((y, x, z)) else ["scale the part"]
         if larger:
@@ -238,7 +240,7 @@ class Resin:
     measured: bool
 
     def contradiction(self) -> str | None:
-        """What can't be true of a resin; None if all can."""
+        """Description of an impossible property of the resin; None if all are possible."""
         return None
 
 
@@ -281,6 +283,7 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
     if name in known:
         return known[name]
     word = name.lower().replace(" ", "_").replace("-", "_")
+    # first names that contain the word or are part of it, then misspelled ones, then those with a similar part
     parts = {part for key in known for part in key.split("_")}
     near = sorted((key for key in known if word in key or key in word), key=len)
     near = near or difflib.get_close_matches(word, known, 3, 0.6)
@@ -307,6 +310,7 @@ def cards(own: Path | None = None) -> Cards:
         found = _read(own.read_bytes(), str(own))
     except OSError as error:
         raise ConfigError(f"`cards` is {own}, which can't be read: {error.strerror}") from error
+    # a card of the user replaces the built-in one of the same name
     return Cards({**built_in.printers, **found.printers}, {**built_in.resins, **found.resins})
 
 
@@ -354,6 +358,7 @@ def _read(data: bytes, file: str) -> Cards:
     if len(data) > LARGEST_FILE:
         raise InputError(f"{file}: {len(data)} bytes are too many for a file of printers; {LARGEST_FILE} are allowed")
     try:
+        # the safe loader makes plain data and runs no code
         document = YAML(typ="safe").load(data)
     except (YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: this is no YAML: {str(error).splitlines()[0]}") from error
@@ -373,6 +378,7 @@ def _card(kind: type[Any], name: str, entry: Any, file: str) -> Any:
     where = f"{file}: {name}"
     if not isinstance(entry, dict):
         raise InputError(f"{where}: a card is a map of entries, got {entry!r}")
+    # annotations are text in this module
     hints = typing.get_type_hints(kind)
     own = {} if kind is Motion else {"name": name}
     fields = {f.name: f for f in dataclasses.fields(kind) if f.name not in own}
@@ -406,6 +412,7 @@ def _value(hint: Any, metadata: Mapping[str, Any], value: Any, where: str) -> An
     if not whole and value is None:  # an open number of a resin
         return None
     low, high = metadata["bounds"]
+    # in Python a bool is an int
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
         wanted = f"{'an integer' if whole else 'a number'} of {low:g} to {high:g}"
         raise InputError(f"{where}: {wanted} is expected, got {value!r}")

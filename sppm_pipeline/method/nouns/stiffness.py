@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.services.elastic.bounds import Bounds
 
 ROUNDING = 1e-8
-"""What is nothing beside the modulus of the stiffest phase."""
+"""Fraction of the modulus of the stiffest phase that counts as zero."""
 
 _PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 """Axes of Poisson's ratios: along which a bar is pulled, and along which it contracts."""

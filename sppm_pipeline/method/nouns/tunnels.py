@@ -12,11 +12,11 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows, twin_rows_of, whole_numbers
 
 NARROW = 1 << 18
-"""Number of tunnels from which they are kept in few bytes: eleven each instead of forty. A choice; like the content it
-belongs to the graph, so that digests are the same on every machine."""
+"""Number of tunnels from which they are kept in few bytes: eleven each instead of forty, 3 MB instead of 10. Not
+sensitive: only memory. Like the content it belongs to the graph, so that digests are the same on every machine."""
 
-_SOME = 1 << 16
-"""Tunnels that are looked at in one go, so that what is worked out takes little memory beside them."""
+_BLOCK = 1 << 16
+"""Tunnels that are processed at a time, so that intermediate arrays are small. Not sensitive: only memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class TunnelGraph(Artifact):
         shift = whole_numbers(self.shift, np.int8 if small else np.int64, "the shifts of tunnels")
         for name, array, width in (("edges", edges, 2), ("shift", shift, 3)):
             rows = in_rows(array, width, f"the {'ends' if name == 'edges' else 'shifts'} of tunnels")
-            # of a view a copy is made: what was converted is nobody else's, but what was not may be
+            # a view is copied if it is the caller's own array; a converted one is not shared
             object.__setattr__(self, name, frozen(rows.view() if rows is getattr(self, name) else rows))
 
     @classmethod
@@ -74,6 +74,7 @@ class TunnelGraph(Artifact):
         ends = in_rows(whole_numbers(np.array(edges), np.int64, "the ends of tunnels"), 2, "the ends of tunnels")
         if len(ends) and not 0 <= ends.min() <= ends.max() < len(pores.centers):
             raise ValueError("a tunnel names a pore that does not exist")
+        # minimum image: the offset of a periodic neighbor is at most half a cell along each axis
         nearest = -np.round(pores.centers[ends[:, 1]] - pores.centers[ends[:, 0]])
         graph = cls(pores, ends, np.array(nearest if shift is None else shift, np.int64))
         graph.check()
@@ -95,9 +96,10 @@ class TunnelGraph(Artifact):
 
     def _check_distinct(self) -> None:
         """No tunnel without length, and none given twice, be it from the other end."""
+        # the order in which connectors make them; then no sort is needed
         if self._ascending():
             return
-        twins = twin_rows_of(len(self.edges), self._directed, _SOME)
+        twins = twin_rows_of(len(self.edges), self._directed, _BLOCK)
         if twins is not None:
             first, second = twins
             a, b = self.edges[first]
@@ -109,17 +111,19 @@ class TunnelGraph(Artifact):
         loops = np.flatnonzero((a == b) & ~s.any(1))
         if len(loops):
             raise ValueError(f"tunnel {some.start + loops[0]} leads from pore {a[loops[0]]} to itself")
+        # a loop to an own image is the same tunnel in both directions: the first shift that is not 0 decides
         leading = np.where(s[:, 0] != 0, s[:, 0], np.where(s[:, 1] != 0, s[:, 1], s[:, 2]))
         backward = (a > b) | ((a == b) & (leading < 0))
         sign = np.where(backward, -1, 1)
         return [np.where(backward, b, a), np.where(backward, a, b), *(s * sign[:, None]).T]
 
     def _ascending(self) -> bool:
-        """Whether all tunnels lead from lower to higher pores and are sorted by pores and shift, none like the next."""
+        """Test whether all tunnels lead from lower to higher pores and are sorted by pores and shift, none twice."""
         if (self.edges[:, 0] >= self.edges[:, 1]).any():
             return False
         equal, less = np.ones(max(len(self.edges) - 1, 0), bool), np.zeros(max(len(self.edges) - 1, 0), bool)
         for column in (*self.edges.T, *self.shift.T):
+            # lexicographic comparison of neighbors, column by column
             less |= equal & (column[:-1] < column[1:])
             equal &= column[:-1] == column[1:]
         return bool(less.all())
@@ -135,16 +139,16 @@ class TunnelGraph(Artifact):
     def sorted_segments(self, order: NDArray[np.int64] | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """`segments` in another order, None for their own, with little memory beside them."""
         start, end = np.empty((len(self.edges), 3)), np.empty((len(self.edges), 3))
-        for first in range(0, len(self.edges), _SOME):
-            some = slice(first, first + _SOME)
+        for first in range(0, len(self.edges), _BLOCK):
+            some = slice(first, first + _BLOCK)
             start[some], end[some] = self.segments(some if order is None else order[some])
         return start, end
 
     def lengths(self) -> NDArray[np.float64]:
         """Lengths of all tunnels, (m,), cell sizes."""
         length = np.empty(len(self.edges))
-        for first in range(0, len(length), _SOME):
-            some = slice(first, first + _SOME)
+        for first in range(0, len(length), _BLOCK):
+            some = slice(first, first + _BLOCK)
             start, end = self.segments(some)
             end -= start
             length[some] = np.sqrt(np.einsum("ij,ij->i", end, end))

@@ -85,10 +85,12 @@ class Voxels(Artifact):
         values = np.asarray(array)
         if axes not in ("xyz", "zyx"):
             raise ValueError(f"the axes are 'xyz' or 'zyx', got {axes!r}")
+        # before the conversion to 8 bits, in which 256 would be 0
         if values.dtype.kind in "iu" and values.size and not 0 <= values.min() <= values.max() <= 255:
             raise ValueError("phases are integers from 0 to 255")
         if values.ndim != 3 or not values.size or values.dtype.kind not in "biuf":
             raise ValueError(f"voxels need three axes of numbers, got shape {values.shape} of {values.dtype}")
+        # without a size the longest side is one cell
         edges = (1.0 / max(values.shape),) * 3 if spacing is None else spacing
         voxels = cls(
             values.T if axes == "zyx" else values,
@@ -128,7 +130,7 @@ class Voxels(Artifact):
 
     @property
     def fractions(self) -> bool:
-        """Whether the values are solid fractions, not phases."""
+        """True if the values are solid fractions, not phases."""
         return self.values.dtype.kind == "f"
 
     @property

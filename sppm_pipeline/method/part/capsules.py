@@ -16,7 +16,7 @@ Window = tuple[slice, slice, slice]
 def depths_in_capsules(
     grid: Grid, capsules: Sequence[Sequence[float]] | NDArray[np.float64], margin: float = 0.0
 ) -> Iterator[tuple[Window, NDArray[np.float32]]]:
-    """How deep samples lie in each capsule, where any does.
+    """Depths of samples in each capsule, in windows that hold any.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def depths_in_capsules(
     capsules : (n, 7) floats
         Both ends (x, y, z) of the segment and the radius.
     margin : float
-        How far samples outside are told as well.
+        Distance up to which samples outside are included.
 
     Yields
     ------

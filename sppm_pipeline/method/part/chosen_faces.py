@@ -32,6 +32,7 @@ def faces_toward(
     length = np.linalg.norm(normals, axis=1)
     ways = np.reshape(np.asarray(directions, np.float64), (-1, 3))
     ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    # not divided by the length: triangles without an area would give 0 / 0
     cosines = (normals @ ways.T).max(1, initial=-np.inf)
     chosen: NDArray[np.bool_] = (length > 0) & (cosines >= (math.cos(math.radians(angle)) - 1e-9) * length)
     return chosen
@@ -41,6 +42,7 @@ def faces_within(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], others: NDArray[np.float64], distance: float
 ) -> NDArray[np.bool_]:
     """Triangles of which all corners are within a distance of other triangles (k, 3, 3); (m,) bool."""
+    # sorted along x, so that a triangle looks at the points between two planes only
     order = np.argsort(vertices[:, 0], kind="stable")
     near = np.zeros(len(vertices), np.bool_)
     found = np.zeros(len(vertices), np.bool_)
@@ -125,6 +127,7 @@ def _paint(
                 i0 = max(0, int(np.ceil((ends[0] - origin[0]) / spacing[0])))
                 i1 = min(nx - 1, int(np.floor((ends[1] - origin[0]) / spacing[0])))
                 for i in range(i0, i1 + 1):
+                    # the skin lies within the part: the far side of a face stays void
                     solid[k, j, i] |= inside[k, j, i]
 
 

@@ -1,4 +1,4 @@
-"""Where the edges of a grid pierce the triangles of a part: its surface to the last bit, sharp edges included."""
+"""Points where grid edges pierce the triangles of a part: its surface to the last bit, sharp edges included."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ def grid_crossings(
     low, high = origin[2] + (start - 1) * spacing[2], origin[2] + stop * spacing[2]
     near = np.flatnonzero((heights.max(1) >= low) & (heights.min(1) <= high)).astype(np.int32)
     shape = np.array(grid.shape)
+    # a guess: the kernel counts what it has no room for, and is then called again
     room = 1024 + 2 * len(near)
     while True:
         found = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int32)
@@ -74,6 +75,7 @@ def grid_crossings(
             break
         room = n
     found = found[0][:n], found[1][:n], found[2][:n]
+    # stable: triangles were taken in ascending order
     order = np.argsort(found[0], kind="stable")
     return Crossings(found[0][order], found[1][order], found[2][order], normals)
 
@@ -108,6 +110,7 @@ def _cross(
             b, c = (axis + 1) % 3, (axis + 2) % 3
             ub, uc, vb, vc = p[1, b] - p[0, b], p[1, c] - p[0, c], p[2, b] - p[0, b], p[2, c] - p[0, c]
             area = ub * vc - uc * vb
+            # seen edge-on along this axis: the other two axes find it
             if area == 0.0:
                 continue
             for nc in range(low[c], high[c] + 1):

@@ -70,6 +70,7 @@ def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method:
     if closed:
         return InsideTest(wound.faces, wound.turned, chosen, True, 0.0, 0.0)
     low, high = bounds(vertices, wound.faces)
+    # an open mesh: how far do three methods agree on a coarse grid
     h = float((high - low).max()) / PROBED
     nx, ny, nz = (int(v) for v in np.ceil((high - low) / h) + 1)
     x, y, z = ((low + high - (np.array([nx, ny, nz]) - 1) * h) / 2).tolist()
@@ -82,7 +83,7 @@ def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method:
     }
     inside = max(1, int(found[chosen].mask.sum()))
     doubt = found[chosen].undecided
-    if chosen == "scanline":  # rays along x alone know no doubt: what the others see differently is one
+    if chosen == "scanline":  # rays along x alone decide every voxel: where the others differ is doubt
         doubt = int(np.count_nonzero(found[chosen].mask != found["winding"].mask))
     one, other = found["winding"].mask, found["vote"].mask
     either = max(1, int(np.count_nonzero(one | other)))
@@ -180,6 +181,7 @@ def _touch(
             most = max(triangles[f, 0, a], triangles[f, 1, a], triangles[f, 2, a])
             low[a] = min(max(np.int64(np.floor((least - origin[a]) / edge)), 0), touched.shape[a] - 1)
             high[a] = min(max(np.int64(np.floor((most - origin[a]) / edge)), 0), touched.shape[a] - 1)
+            # the box of a small triangle wastes a cell or two; that of a large one would fill the part
             large |= high[a] - low[a] > 1
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
@@ -193,7 +195,7 @@ def _touch(
 
 @jit
 def _meets(triangle: NDArray[np.float64], middle: NDArray[np.float64], half: float) -> bool:
-    """Whether a triangle meets a cube that its box meets, by separating axes (Akenine-Moeller 2001); in doubt it does.
+    """Test a triangle against a cube that its box meets, by separating axes (Akenine-Moeller 2001); in doubt they meet.
 
     The axes are the normal of the triangle, and the products of its edges with those of the cube.
     """

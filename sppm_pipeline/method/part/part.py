@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from sppm_pipeline.nouns.size import Size
 
 COARSE_VOXELS = 2**20
-"""Voxels of the grid on which a part is looked at as a whole: a choice, for some tenths of a second."""
+"""Voxels of the grid on which a part is measured as a whole, in some tenths of a second. A heuristic: twice as many
+take twice as long and show void that is 20 % narrower."""
 
 COARSE_ALONG = 48
 """Voxels along the longest side of a part whose skin would allow for larger ones."""
@@ -32,7 +33,7 @@ COARSE_ALONG = 48
 
 @dataclass(frozen=True, eq=False)
 class Part(WrappedField):
-    """The intersection of a microstructure with a domain, evaluated where somebody samples it (paper, section 2.4).
+    """The intersection of a microstructure with a domain, evaluated where it is sampled (paper, section 2.4).
 
     Attributes
     ----------
@@ -44,8 +45,9 @@ class Part(WrappedField):
         Thickness of the solid skin inside the domain's surface; 0 for none.
     skin_faces : (n,) int32 or None
         The triangles of the domain that have the skin: what is within its thickness of one of them. None for all.
-    islands : {"remove", "keep"}
-        Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
+    islands : {"auto", "remove", "keep"}
+        Whether solid that is not connected to the largest component is left out where the part is sliced or meshed;
+        "auto" as `connectivity.removal` limits it.
     inside : {"scanline", "winding", "vote"} or None
         Method of the inside test of the domain; None for the first if the domain bounds a solid, else the second.
     drains : tuple of tuples of 7 floats
@@ -56,7 +58,7 @@ class Part(WrappedField):
 
     domain: SurfaceMesh
     skin_mm: float = 0.0
-    islands: str = "remove"
+    islands: str = "auto"
     inside: Method | None = None
     drains: tuple[tuple[float, ...], ...] = ()
     skin_faces: NDArray[np.int32] | None = None
@@ -76,6 +78,7 @@ class Part(WrappedField):
         """Method of the inside test of the domain."""
         from sppm_pipeline.method.part.inside import way_for
 
+        # rays are exact, but leak where a mesh is open
         return self.inside or way_for(self.domain.bounds_solid)
 
     def check(self) -> None:
@@ -181,8 +184,10 @@ class Part(WrappedField):
         domain = self._in_domain(grid)
         crossings = domain.crossings(start, stop)
         if self.skin_mm or self.drains or self.method != "scanline":
+            # only a closed mesh without skin and drains is known by its triangles alone
             return *self.fields_zyx(grid, threads, start, stop), crossings
         inside = domain.inside(start, stop).view(np.bool_)
+        # a node on the surface is outside whichever way it is rounded, or flat faces would be ragged
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
         inner = self.base.sample_zyx(grid, start, stop, threads)
@@ -191,39 +196,58 @@ class Part(WrappedField):
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
+        return self._solid_inside_skin(grid, start, stop, threads)[0].T
+
+    def _solid_inside_skin(
+        self, grid: Grid, start: int, stop: int, threads: int
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8] | None]:
+        """The solid, the domain, and the skin before drains (None without one), (stop - start, ny, nx) uint8."""
         from sppm_pipeline.method.assembly.occupancy import row_spans
 
+        skin = None
         if not self.skin_mm or self.skin_faces is not None:
             domain = self._in_domain(grid)
             inside = domain.inside(start, stop)
-            solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
-            solid &= inside
             if self.skin_mm:
-                domain.add_skin(start, inside, solid)
-            return self._filled_and_drained(solid, inside, grid, start, stop).T
-        from sppm_pipeline.method.part.skin import halo_layers, skin_layers
+                skin = np.zeros_like(inside)
+                domain.add_skin(start, inside, skin)
+        else:
+            from sppm_pipeline.method.part.skin import halo_layers, skin_layers
 
-        spacing = self.in_mm(grid).spacing
-        halo = halo_layers(self.skin_mm, spacing[2])
-        first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
-        around = self._in_domain(grid).inside(first, last)
-        inside = around[start - first : stop - first]
+            # how far a layer lies below the surface depends on the layers around it
+            spacing = self.in_mm(grid).spacing
+            halo = halo_layers(self.skin_mm, spacing[2])
+            first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
+            around = self._in_domain(grid).inside(first, last)
+            inside = around[start - first : stop - first]
+            skin = skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
         solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
         solid &= inside
-        solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
-        return self._filled_and_drained(solid, inside, grid, start, stop).T
+        if skin is not None:
+            solid |= skin
+        return self._filled_and_drained(solid, inside, grid, start, stop), inside, skin
 
     def solid_bits(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint64]:
+        return self.counted_bits(grid, start, stop, threads)[0]
+
+    def counted_bits(
+        self, grid: Grid, start: int, stop: int, threads: int = 1
+    ) -> tuple[NDArray[np.uint64], dict[str, int]]:
+        """`solid_bits`, and how many samples lie in the domain and in its skin, as ``domain`` and ``skin``."""
+        from sppm_pipeline.services.bit_rows import count, pack
+
         if self.skin_mm or self.drains or len(self.fills):
-            return super().solid_bits(grid, start, stop, threads, wanted)
+            solid, inside, skin = self._solid_inside_skin(grid, start, stop, threads)
+            of_skin = 0 if skin is None else int(np.count_nonzero(skin & solid))  # drains win over the skin
+            return pack(solid), {"domain": int(np.count_nonzero(inside)), "skin": of_skin}
         from sppm_pipeline.method.assembly.occupancy import row_spans_of_bits
 
-        inside = self._in_domain(grid).inside_bits(start, stop)
-        solid = self.base.solid_bits(grid, start, stop, threads, row_spans_of_bits(inside))
-        solid &= inside
-        return solid
+        held = self._in_domain(grid).inside_bits(start, stop)
+        bits = self.base.solid_bits(grid, start, stop, threads, row_spans_of_bits(held))
+        bits &= held
+        return bits, {"domain": count(held), "skin": 0}
 
     def slabs_in_threads(self, grid: Grid) -> bool:
         if self.method != "scanline" or not self.base.slabs_in_threads(grid):
@@ -245,6 +269,7 @@ class Part(WrappedField):
     def coarse_pitch(self) -> float:
         """Edge of the voxels, mm, of which there are about `COARSE_VOXELS` in the box of the part."""
         extent = np.asarray(self.domain.upper - self.domain.lower)
+        # a skin needs more than a voxel to be closed
         fine = self.skin_mm / 1.5 or math.inf
         return float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
 
@@ -259,6 +284,7 @@ class Part(WrappedField):
         edge = self.physical_edge()
         x, y, z = ((lower - pitch / 2 - self.origin_mm) / edge).tolist()
         grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
+        # a skin thinner than a voxel would leak, and sealed void would look open
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
@@ -283,6 +309,7 @@ class Part(WrappedField):
         if sampler is None or sampler.of != grid:
             world = self.in_mm(grid)
             sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
+            # weak keys: a sampler is freed with its part
             _SAMPLERS[self] = sampler
         return sampler
 
@@ -298,6 +325,11 @@ class Part(WrappedField):
             "inside": self.method,
             "cells": list(self.cells),
         }
+
+
+def islands_for(field: ScalarField, islands: str) -> str:
+    """The option `islands` of a stage that meshes a field; "auto" yields to that of a part."""
+    return field.islands if islands == "auto" and isinstance(field, Part) else islands
 
 
 def node_grid(field: ScalarField, per_cell: int) -> Grid:

@@ -81,11 +81,13 @@ def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
     ).reshape(-1, 3)
     for _ in range(subdivisions):
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+        # both triangles of an edge share its middle, so the mesh stays closed
         edges, middle = np.unique(ends, axis=0, return_inverse=True)
         ab, bc, ca = (len(points) + middle.reshape(-1, 3)).T
         a, b, c = faces.T
         points = np.concatenate([points, points[edges].mean(axis=1)])
         faces = np.concatenate([np.stack(f, axis=1) for f in [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]])
+    # all vertices lie on the sphere, so the volume is a little below that of the ball
     points = points * (radius / np.linalg.norm(points, axis=1, keepdims=True)) + np.asarray(center)
     return points, faces.astype(np.int32)
 
@@ -140,6 +142,7 @@ def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, si
     r = radius + tube * np.cos(across)
     height = np.broadcast_to(tube * np.sin(across), (segments, sides))
     points = np.stack([r * np.cos(around), r * np.sin(around), height], axis=2)
+    # reversed, so that normals point out of the tube
     return points.reshape(-1, 3) + np.asarray(center), _wrap(segments, sides)[:, ::-1].copy()
 
 
@@ -206,6 +209,7 @@ def torus_knot_mesh(
     """
     _at_least(3, segments=segments, sides=sides)
     curve = torus_knot_curve(turns, radius, swing, segments)
+    # central differences on a closed curve
     tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     # the normal of the torus turns with the curve and comes back to itself, so the last ring fits the first

@@ -1,4 +1,4 @@
-"""Where rays along the rows of a grid go through the triangles of a mesh.
+"""Crossings of rays along the rows of a grid with the triangles of a mesh.
 
 Rays through edges and vertices need no special cases. A layer z = z_k cuts an edge if exactly one of its ends has
 z <= z_k; so a triangle is cut in no edge or in two, one going up and one going down. The triangle counts on the rows
@@ -229,6 +229,7 @@ def _crossings(
                 p_below = vertices[p, 2] <= z
                 if p_below == (vertices[q, 2] <= z):
                     continue
+                # from the lower end to the upper one, whichever triangle of the edge is at work: the same rounding
                 if not p_below:
                     p, q = q, p
                 share = (z - vertices[p, 2]) / (vertices[q, 2] - vertices[p, 2])
@@ -240,11 +241,13 @@ def _crossings(
                     y_down, x_down = y, x
             j_up = _first_at(origin[1], spacing[1], int(np.int64(0)), n_row, y_up)
             j_down = _first_at(origin[1], spacing[1], int(np.int64(0)), n_row, y_down)
+            # with outward winding the sense in which rows are passed distinguishes entry from exit
             entering = 1 if j_up < j_down else 0
             j_stop = max(j_up, j_down)
             for j in range(min(j_up, j_down), j_stop):
                 share = (origin[1] + j * spacing[1] - y_down) / (y_up - y_down)
                 x = x_down + share * (x_up - x_down)
+                # rounding may not carry the crossing out of the triangle
                 x = min(max(x, min(x_up, x_down)), max(x_up, x_down))
                 if n == found.size:
                     more_rows = np.empty(2 * n, np.int32)
@@ -257,6 +260,7 @@ def _crossings(
                     found = more_found
                 row = (k - first) * n_row + j
                 rows[n] = row
+                # the lowest bit holds the sign, so that one sort keeps both
                 found[n] = 2 * _first_at(origin[0], spacing[0], int(np.int64(0)), n_ray, x) + entering
                 starts[row + 1] += 1
                 n += 1

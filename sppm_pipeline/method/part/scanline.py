@@ -132,6 +132,7 @@ def _fill(
         total = 0
         for i in range(starts[r], starts[r + 1]):
             total += 1 if parity or keys[i] & 1 else -1
+        # a ray that enters a closed mesh leaves it
         if (parity and total & 1) or (not parity and total != 0):
             opened += 1
         # between two crossings, `count` is the sum so far and `total - count` the sum that is still to come
@@ -144,6 +145,7 @@ def _fill(
             if parity:
                 votes = (count & 1) + ((total - count) & 1)
             else:
+                # inside as seen from the low end, and as seen from the high end
                 votes = int(count > 0) + int(count > total)
             if begin < end:
                 if ballots:

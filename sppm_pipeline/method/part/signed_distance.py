@@ -95,7 +95,7 @@ def distance_layers(
 def reach_bare_borders(
     distance: NDArray[np.float32], inside: NDArray[np.uint8], below: int, spacing: tuple[float, float, float]
 ) -> None:
-    """Where the inside of a mesh ends in one of its holes, measure from there, to half a spacing; in place.
+    """Measure from the border of the inside where it lies in a hole of the mesh, to half a spacing; in place.
 
     On the way to the nearest sample of the other kind one passes the border. If no triangle is as near as that sample,
     there is none on the way.

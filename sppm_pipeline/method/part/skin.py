@@ -23,7 +23,7 @@ _FAR = np.float32(1e30)
 
 
 def halo_layers(thickness: float, spacing: float) -> int:
-    """How many layers above and below have a say in the skin of a layer."""
+    """Number of layers above and below that decide on the skin of a layer."""
     return math.floor(thickness / spacing * _SLACK)
 
 
@@ -87,6 +87,7 @@ def _row_distances(inside: NDArray[np.uint8], h: np.float32, reach: int, out: ND
         while x < n and inside[x] != 0:
             x += 1
         for i in range(begin, x):
+            # beyond both ends of the array is outside
             d = min(i + 1 - begin, x - i)
             out[i] = h * np.float32(d * d) if d <= reach else _FAR
 
@@ -182,6 +183,7 @@ def _skin(
                         elif states[other % ring, z, b] != _DEEP:
                             _lower(block, planes[other % ring, z, start:stop], add)
                             state = _MIXED
+                # no outside within reach of the whole block
                 if state == _DEEP:
                     continue
                 own_plane = planes[slot, z, start:stop]

@@ -21,7 +21,7 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, box_tree
 from sppm_pipeline.services.mesh.measures import components
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
-from sppm_pipeline.services.mesh.winding_number import FAR, Dipoles, dipoles, winding_at
+from sppm_pipeline.services.mesh.winding_number import FAR_RADII, Dipoles, dipoles, winding_at
 
 UNDECIDED = 0.25
 """A voxel is undecided if its winding number is nearer than this to one half."""
@@ -81,6 +81,7 @@ def spanning_triangles(
     ends = ends[ends[:, 0] != ends[:, 1]]
     n = len(vertices)
     keys, which = np.unique(ends.min(1) * n + ends.max(1), return_inverse=True)
+    # an edge of a closed mesh runs as often forward as backward
     excess = np.bincount(which, np.where(ends[:, 0] < ends[:, 1], 1, -1), len(keys)).astype(np.int64)
     left = np.repeat(keys, np.abs(excess))
     if left.size == 0:
@@ -92,6 +93,7 @@ def spanning_triangles(
     weights = np.bincount(loop, minlength=count)[:, None]
     middles = np.stack([np.bincount(loop, vertices[start, a], count) for a in range(3)], axis=1) / weights
     sizes = np.sqrt(np.bincount(loop, np.square(vertices[start] - middles[loop]).sum(axis=1), count))
+    # relative to the size of the hole
     middles += np.multiply.outer(sizes, _OFF)
     spans = np.stack([end, start, n + loop], axis=1)
     return np.concatenate([vertices, middles]), spans.astype(np.int32)
@@ -183,8 +185,10 @@ def _seen_under(
             waiting[left], waiting[left + 1] = 2 * node + 2, 2 * node + 1
             left += 2
             continue
+        # the box touches triangles: no useful bound
         if square == 0.0:
             return 1.0
+        # the solid angle of an area at a distance is at most area / distance^2, of 4 pi
         bound += areas[node] / (4 * np.pi * square)
     return bound
 
@@ -198,7 +202,7 @@ def _within(
     point: NDArray[np.float64],
     limit: float,
 ) -> bool:
-    """Whether a triangle lies nearer to a point than a distance, given squared."""
+    """Test whether a triangle lies nearer to a point than a distance, given squared."""
     leaves = starts.size - 1
     waiting[0] = 0
     left = 1
@@ -316,6 +320,7 @@ def _correct(
                     if abs(middle - 0.5) < UNDECIDED:
                         undecided += (i1 - i0) * (j1 - j0) * (k1 - max(k0, start))
                     continue
+            # undecided as a whole: look at its eighths
             if edge > _SMALL:
                 half = edge // 2
                 for child in range(8):
@@ -335,7 +340,7 @@ def _correct(
                         if abs(number) >= _CLEAR:
                             own = winding_at(triangles, starts, poles, waiting, x, y, z, _QUICK)
                             if abs(own - 0.5) < _CLOSE:
-                                own = winding_at(triangles, starts, poles, waiting, x, y, z, FAR)
+                                own = winding_at(triangles, starts, poles, waiting, x, y, z, FAR_RADII)
                             mask[k - start, j, i] = own > 0.5
                             undecided += abs(own - 0.5) < UNDECIDED
                         elif abs(number) > UNDECIDED:

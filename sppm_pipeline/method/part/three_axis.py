@@ -60,6 +60,7 @@ def vote_layers(
     n = stop - start
     votes = np.zeros((n, n_y, n_x), dtype=np.uint8)
     along_y = np.zeros((n, n_x, n_y), dtype=np.uint8)
+    # rays along z see only the samples of this slab, but cross all triangles above and below
     along_z = np.zeros((n_y, n_x, n), dtype=np.uint8)
     counts = [
         count_inside(scan.x, start, stop, 0, votes, ballots=True, parity=parity),
@@ -68,6 +69,7 @@ def vote_layers(
     ]
     votes += along_y.transpose(0, 2, 1)
     votes += along_z.transpose(2, 0, 1)
+    # a majority of six ballots, two of each axis
     mask = (votes > 3).view(np.uint8)
     split = int(np.count_nonzero((votes > 1) & (votes < 5)))
     return Occupancy(mask, sum(c for c, _ in counts), sum(o for _, o in counts), split)

@@ -37,6 +37,7 @@ def below_plane(value: float, a: float, b: float, c: float) -> float:
     least = 1e-3 * reach
     a, b, c = max(a, least), max(b, least), max(c, least)
     up = 0.5 * (a + b + c) - value
+    # volume of a tetrahedron cut by the plane, less those that stick out of the cube, by inclusion and exclusion
     total = _cube(up) - _cube(up - a) - _cube(up - b) - _cube(up - c)
     total += _cube(up - a - b) + _cube(up - a - c) + _cube(up - b - c) - _cube(up - a - b - c)
     return min(1.0, max(0.0, total / (6.0 * a * b * c)))
@@ -94,6 +95,7 @@ def solid_fractions(
     """
     nx, ny, nz = shape
     h = 1.0 / (resolution * parts)
+    # one part more on each side for the slopes
     grid = Grid((-h / 2,) * 3, (h,) * 3, (nx * parts + 2, ny * parts + 2, nz * parts + 2))
     out = np.zeros((nz, ny, nx), np.float32)
     for start in range(0, nz, _LAYERS):

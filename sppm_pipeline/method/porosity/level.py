@@ -78,6 +78,7 @@ def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target:
     if solid == 0:
         low = high = flat.min()
     else:
+        # a selection, not a sort: linear in the number of samples
         flat.partition((solid - 1, solid))
         low, high = flat[solid - 1], flat[solid]
     level = low + (high - low) / 2
@@ -164,6 +165,7 @@ def search_monotone(
     weight_a, weight_b = excess_a, excess_b
     stayed = 0
     widths = [math.inf, math.inf]  # of the bracket, one and two steps ago
+    # Illinois: the secant of the weights; a bracket that two steps have not halved is bisected
     while bracketed and abs(best_excess) > tolerance and evaluations < max_evaluations:
         x = x_a + (x_b - x_a) * weight_a / (weight_a - weight_b)
         if x_b - x_a > widths[1] / 2 or not x_a < x < x_b:

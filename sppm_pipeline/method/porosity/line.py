@@ -71,12 +71,14 @@ def fit_line(n: ArrayLike, porosity: ArrayLike) -> PorosityLine:
         raise DesignError(
             "a line needs samples with at least two different numbers of pores", hint="widen the range of n"
         )
+    # about the means, which keeps the sums well conditioned
     from_mean = count - count.mean()
     slope = float(from_mean @ (value - value.mean()) / (from_mean @ from_mean))
     intercept = float(value.mean() - slope * count.mean())
     residuals = value - (slope * count + intercept)
     left = float(residuals @ residuals)
     total = float(((value - value.mean()) ** 2).sum())
+    # more pores make more void; if not, the samples are noise
     if slope <= 0.0:
         raise DesignError(
             f"the porosity does not grow with the number of pores (slope {slope:.3g} from {count.size} samples)",
@@ -127,4 +129,5 @@ def count_for_porosity(line: PorosityLine, porosity: float) -> int:
             f"{low:.4g} to {high:.4g} for {line.n_min} to {line.n_max} pores",
             hint="choose a porosity in that range, fit a wider range of n, or change the radii",
         )
+    # half a pore beyond the ends rounds back onto them
     return min(max(round(n), line.n_min), line.n_max)

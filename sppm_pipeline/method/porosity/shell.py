@@ -1,4 +1,4 @@
-"""What lies near the zero level of a sampled field."""
+"""Samples near the zero level of a sampled field."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LAYERS = 16
 
 
 def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64]:
-    """Where lines between neighboring samples meet the zero level, (n, 3), x, y, z in steps of the grid.
+    """Points where lines between neighboring samples meet the zero level, (n, 3), x, y, z in steps of the grid.
 
     Parameters
     ----------

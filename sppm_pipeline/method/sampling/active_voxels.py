@@ -116,6 +116,7 @@ def fill_active_voxels(
         if side[axis] > 0.0:
             dimension += 1
     # A voxel with this edge is wholly covered by a point inside it.
+    # the diagonal of such a voxel is the spacing
     coarsest = cells.reach / np.sqrt(max(1.0, float(dimension)))
     parts = np.ones(3, dtype=np.int64)
     edge = np.zeros(3)
@@ -135,6 +136,7 @@ def fill_active_voxels(
     placed = 0
     while placed < wanted and voxels.number > 0 and finest > _FINEST * cells.reach:
         step = (edge[0], edge[1], edge[2])
+        # points of this level: only they can cover what was free before it
         since = cells.used[0]
         for _ in range(int(np.ceil(_DARTS_PER_VOXEL * voxels.number))):
             row = min(int(next_uniform(stream) * voxels.number), voxels.number - 1)
@@ -159,7 +161,7 @@ def fill_active_voxels(
 
 @jit
 def _is_free_in(cells: CellList, voxels: Voxels, row: int, x: float, y: float, z: float) -> bool:
-    """Whether none of the points of a voxel covers a spot in it."""
+    """True if none of the points of a voxel covers a spot in it."""
     points, period, reach2 = cells.points, cells.period, cells.reach * cells.reach
     for s in range(voxels.first[row], voxels.first[row + 1]):
         p = voxels.points[s]

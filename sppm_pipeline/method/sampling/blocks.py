@@ -4,7 +4,7 @@ Every block gets a given number of pores, uniform in the block but for the spaci
 Blocks have colors such that no two neighbors share one. They are thrown color after color, each by a random stream of
 its own, made from the seed and the place of the block, so that neither threads nor the order of the blocks of a color
 enter the result. A block then depends only on neighbors of earlier colors: with the order below on at most 4, 2 and 1
-blocks along x, y and z (`needed_blocks` tells which), whatever the size of the lattice.
+blocks along x, y and z (`needed_blocks` returns them), whatever the size of the lattice.
 
 Rules are those of `darts.throw`: plain darts up to 75 % of the capacity, then darts into active voxels.
 
@@ -12,7 +12,7 @@ Density and spacing may vary from place to place (`graded_blocks`). A dart is th
 to the density at its place, and two pores at p and q keep the mean of the spacings there, ``(l(p) + l(q)) / 2``. Where
 pores are stretched, their distance is measured in the mean of the metrics at p and q, and the spacing is that of as
 many pores in the metric: the same as if round pores had been thrown and then been stretched. Active voxels know one
-spacing alone: graded blocks are thrown by plain darts only, and anew if these find no room.
+spacing alone: graded blocks are thrown by plain darts only, and again from the start if these find no room.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from sppm_pipeline.services.threads import ordered_map
 _GRAY = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1))
 ATTEMPTS = 20
 DARTS = 400
-"""Darts for each pore that is wanted before a graded block is thrown anew: a choice, as at 60 % of the packing limit
-some 30 are needed."""
+"""Darts for each pore before a graded block is thrown again. At 60 % of the packing limit some 30 are needed, so that
+only blocks that are really full take so many; twice as many only delay the error."""
 _BLOCK_PORE = 0
 
 
@@ -138,14 +138,14 @@ def throw_blocks(
     quotas : (nx, ny, nz) int64
         Pores of each block.
     spacing : float
-        Smallest distance of two pores, block edges; at most 1. With a density that where it is 1; elsewhere it goes
-        with density^(-1/3).
+        Smallest distance of two pores, block edges; at most 1. With a density that where it is 1; elsewhere it
+        scales with density^(-1/3).
     periodic : bool
         Whether the lattice repeats; only without a density.
     density : (NODES nx + 1, NODES ny + 1, NODES nz + 1) float64, optional
         At the nodes (`graded_blocks`); positive.
     metric : (NODES nx + 1, ..., 6) float64, optional
-        At the nodes, see `numerics.metric`; only with a density.
+        At the nodes, see `services.metric`; only with a density.
     before : ((k, 3) float64, (blocks + 1,) int64), optional
         Pores that are there already, in the form of the result.
     threads : int
@@ -175,6 +175,7 @@ def throw_blocks(
         widest, closest = spacing * float(of_darts.max()), spacing * float(of_darts.min())
         if metric is not None:
             of_metrics = np.ascontiguousarray(metric, np.float64)
+            # as many pores in the metric as there are in space: its volume element is the root of the determinant
             of_spacings = (density / np.sqrt(determinants(metric))) ** (-1 / 3)
             widest = spacing * float((of_spacings.ravel() * semi_axes(metric.reshape(-1, 6))[:, 0]).max())
         if not 0 < widest <= 1:
@@ -193,6 +194,7 @@ def throw_blocks(
     wraps = np.array([periodic and n == 1 for n in shape])
     most = int((quotas.ravel() + np.diff(old[1])).max(initial=0))
     # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
+    # memory for one block and what lies around it, however large the lattice
     rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
     naive = math.inf if graded else NAIVE_SHARE * box_capacity(1.0, spacing, True)
     missing = np.zeros(quotas.size, np.int64)
@@ -202,6 +204,7 @@ def throw_blocks(
         lattice = (blocks, np.array(shape), periodic, wraps, streams, first, centers, *old)
         _throw_in_turn(cells, *lattice, of_darts, of_spacings, of_metrics, spacing, naive, missing)
 
+    # blocks of one color are not neighbors, so that any thread may throw any of them
     for color in range(int(colors.max()) + 1):
         blocks = np.flatnonzero((colors == color) & (quotas.ravel() > 0))
         if len(blocks):
@@ -212,6 +215,7 @@ def throw_blocks(
         worst = int(missing.argmax())
         wanted = int(quotas.ravel()[worst])
         place = tuple(int(i) for i in np.unravel_index(worst, shape))
+        # the number that fits falls with the cube of the spacing
         near = spacing * (1 - missing[worst] / wanted) ** (1 / 3)
         raise DesignError(
             f"only {wanted - missing[worst]} of {wanted} pores fit into the block {place} with "
@@ -284,6 +288,7 @@ def _throw_in_turn(
                 x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
                 if nodes is not None:
                     here = value_at(nodes, x0 + x, y0 + y, z0 + z)
+                    # rejection: `here` cubed is one over the density, `least` cubed one over its maximum
                     if next_uniform(stream) * here * here * here > least * least * least:
                         continue
                     if metric_nodes is not None:

@@ -1,10 +1,11 @@
 """Packing capacity: the mean count at which random sequential addition with a given spacing is saturated.
 
-Balls of diameter l thrown at random fill .3841 of space, discs .5470 of the plane, rods .7476 of the line (the jamming
-limits of random sequential addition; Torquato, Uche and Stillinger 2006; Renyi 1958), which makes .7336, .6966 and
-.7476 centers per l^d. A box that is not periodic holds more centers than its volume says, because no centers outside
-press on those inside: each edge counts as longer by .64 l. Against measured saturation the formulas are within 5 % for
-boxes of 1.5 spacings and more (within 1 % from 4 on); a torus needs 2.5 spacings, below which the count jumps.
+Balls of diameter l thrown at random fill 0.3841 of space, discs 0.5470 of the plane, rods 0.7476 of the line (the
+jamming limits of random sequential addition; Torquato, Uche and Stillinger 2006; Renyi 1958), which makes 0.7336,
+0.6966 and 0.7476 centers per l^d. A box that is not periodic holds more centers than its volume says, because no
+centers outside press on those inside: each edge counts as longer by 0.64 l. Against measured saturation the formulas
+are within 5 % for boxes of 1.5 spacings and more (within 1 % from 4 on); a torus needs 2.5 spacings, below which the
+count jumps.
 
 The packing share of a design is count / capacity.
 """
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 
 from sppm_pipeline.errors import DesignError
 
-# centers per l^d at the jamming limits above: .7476, .5470 / (pi / 4), .3841 / (pi / 6)
+# centers per l^d at the jamming limits above: 0.7476, 0.5470 / (pi / 4), 0.3841 / (pi / 6)
 _JAMMED = {0: 1.0, 1: 0.7476, 2: 0.6966, 3: 0.7336}
 # by how much of the spacing an edge counts as longer, fitted to measured saturation
 _EDGE = 0.64
@@ -49,7 +50,7 @@ def _as_flags(periodic: bool | Sequence[bool], dimension: int) -> tuple[bool, ..
 
 
 def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool | Sequence[bool] = False) -> float:
-    """Mean number of pores of a saturated box, .7336 prod((a_i + .64 l) / l).
+    """Mean number of pores of a saturated box, 0.7336 prod((a_i + 0.64 l) / l).
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool |
     spacing : float
         Smallest distance l of two centers; 0 gives infinity.
     periodic : bool or 3 bools
-        Axes of period 1: their factor is min(a_i + .64 l, 1) / l.
+        Axes of period 1: their factor is min(a_i + 0.64 l, 1) / l.
 
     Returns
     -------
@@ -74,9 +75,9 @@ def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool |
 def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) -> float:
     """Mean number of pores of one face pattern when the mirrored patterns of all three axes are saturated together.
 
-    A fit, .6966 ((1 - e l) / l)^2, to measured saturation of patterns thrown in turn (`mirrored_faces`): within 6 %
-    for spacings up to 1/3. The loss e grows from .46 (one color, no margin) to .60, .62, .66 (2, 3, 8 colors, margin
-    l/2), because the faces around a cell edge press on each other; past a margin of .71 l they no longer do.
+    A fit, 0.6966 ((1 - e l) / l)^2, to measured saturation of patterns thrown in turn (`mirrored_faces`): within 6 %
+    for spacings up to 1/3. The loss e grows from 0.46 (one color, no margin) to 0.60, 0.62, 0.66 (2, 3, 8 colors,
+    margin l/2), because the faces around a cell edge press on each other; past a margin of 0.71 l they no longer do.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     """
     if spacing <= 0.0 or colors < 1:
         raise ValueError(f"spacing and colors must be positive, got {spacing}, {colors}")
-    # the fit of the docstring: linear to l/2, to .71 l, and beyond, where the side is 1 - 2 margin + .66 l
+    # the fit of the docstring: linear to l/2, to 0.71 l, and beyond, where the side is 1 - 2 margin + 0.66 l
     ratio = (0.0 if colors == 1 else 0.5) if margin is None else margin / spacing
     at_half = 0.70 - 0.17 * math.pow(colors, -0.7)  # loss at a margin of l/2
     if ratio <= 0.5:
@@ -117,7 +118,7 @@ def largest_spacing(count: int, sides: Sequence[float], *, periodic: bool | Sequ
     Returns
     -------
     float
-        Spacing in cell sizes, to a relative 1e-12; never above 1 along a periodic axis, infinite for a lone pore.
+        Spacing in cell sizes, to a relative 1e-12; never above 1 along a periodic axis, infinite for a single pore.
     """
     if count < 1:
         raise ValueError(f"count must be positive, got {count}")
@@ -125,6 +126,7 @@ def largest_spacing(count: int, sides: Sequence[float], *, periodic: bool | Sequ
     if count == 1:
         return 1.0 if any(flags) else math.inf
     low, high = 0.0, 1.0 if any(flags) else 2.0 * max(sides) + 1e-300
+    # bisection: the capacity is no smooth function of the spacing, but falls with it
     for _ in range(200):
         middle = (low + high) / 2
         if _region_capacity(sides, middle, flags) >= count:

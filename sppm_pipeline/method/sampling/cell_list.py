@@ -207,7 +207,7 @@ def is_free(
     family: int,
     member: int,
 ) -> bool:
-    """Whether no point covers the whole voxel centered at `spot` with half edges `half` (zeros: is the spot free).
+    """True if no point covers the whole voxel centered at `spot` with half edges `half` (zeros: is the spot free).
 
     A point covers a voxel when all of the voxel lies closer to it than the spacing.
     """

@@ -64,7 +64,7 @@ def throw(
         With ``count=None``: the packing share in (0, 1]. Below 1 the count is the share of the capacity of the empty
         box, rounded down; 1 fills until no free spot is left.
     attempts : int
-        How often the box is thrown anew when it was full before the count was reached.
+        How often the box is thrown again when it was full before the count was reached.
 
     Returns
     -------
@@ -91,6 +91,7 @@ def throw(
     around = obstacles_around(obstacles, low, side, spacing, wraps, obstacle_images)
 
     stream = new_stream(rng) if isinstance(rng, np.random.Generator) else rng
+    # plain darts first: each pore costs a few at this packing, and no list of voxels has to be made
     naive = int(min(wanted, NAIVE_SHARE * capacity))
     best = throws = 0
     while throws < max(1, attempts):
@@ -100,10 +101,11 @@ def throw(
         placed = int(throw_darts(cells, stream, low, side, naive, NAIVE_BUDGET * naive + 1000, _PORE, 0))
         if placed < wanted:
             placed += int(fill_active_voxels(cells, stream, low, side, wanted - placed, _PORE, 0))
+        # a filled box is full when no voxel is left, whatever the count
         if placed == wanted or share == 1.0:
             return cells.points[len(around) : len(around) + placed].copy()
         best = max(best, placed)
-        # The saturated count wanders by .3 sqrt(n): five times that is out of reach for any number of attempts.
+        # The saturated count varies by 0.3 sqrt(n): five times that is out of reach for any number of attempts.
         if wanted - best > 1.5 * math.sqrt(wanted):
             break
     dimension = max(1, int(np.count_nonzero(side)))

@@ -7,14 +7,14 @@ one spacing from all sites then lies half a spacing or more from the edge: patte
 An edge belongs to the cells around it, and which face patterns meet at it differs from place to place. So the pores of
 an edge are part of one of them: the pattern perpendicular to axis a holds those of its border where the coordinate
 a + 1 (cyclic) is zero, and that perpendicular to x also the corner. Every edge and corner of a lattice has exactly one
-owner in this way, and is counted once. Each color of the owner carries pores on a choice of sites of its own; all
+owner in this way, and is counted once. Each color of the owner carries pores on a selection of sites of its own; all
 together use every site equally often, up to rounding. Interiors and faces keep one spacing from all sites in use.
 
 How many pores the sites, the faces and the interior get follows from the spacing l and the number of pores v of a cell,
 so that the solid share of many cells is level: a share ``1.031 (v l^3)^(1/2)`` of the sites, two thirds at 60 % of the
-packing limit, and ``.69 v l (1 - 1.5 l)^2 m^.2`` pores on each face, which are those that a homogeneous structure has
-within .35 l of the plane, less a strip along the edges that is left to them. They have to be more where an interior may
-meet m patterns on a side, as it then keeps away from all of them.
+packing limit, and ``0.69 v l (1 - 1.5 l)^2 m^0.2`` pores on each face, which are those that a homogeneous structure has
+within 0.35 l of the plane, less a strip along the edges that is left to them. They have to be more where an interior
+may meet m patterns on a side, as it then keeps away from all of them.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from sppm_pipeline.method.sampling.faces import FILLED, face_counts, throw_in_tu
 from sppm_pipeline.method.sampling.many import patterns_apart
 from sppm_pipeline.services.distinct import distinct
 
-WIDEST = math.sqrt(3.0)
+MAX_GAP = math.sqrt(3.0)
 """Widest distance of two sites, spacings: what keeps one spacing from both lies half a spacing away from the edge."""
 USUAL = 1.5
 """Mean distance of two sites, spacings: between the least, 1, and the widest."""
 
-# Fitted to the folded solid share of assemblies such as those of configs/how_random.yaml, at porosity .70.
+# Fitted to the folded solid share of assemblies such as those of configs/how_random.yaml, at porosity 0.70.
 OCCUPIED, ON_FACE, STRIP, MET = 1.031, 0.69, 1.5, 0.2
 
 MAX_TOGETHER = 16
@@ -53,7 +53,7 @@ REJECTED, SWEEPS = 1000, 50
 def intervals(spacing: float) -> int:
     """Number of intervals that the sites divide an edge into."""
     most = math.floor(1.0 / spacing + 1e-9)
-    least = math.ceil(1.0 / (WIDEST * spacing) - 1e-9)
+    least = math.ceil(1.0 / (MAX_GAP * spacing) - 1e-9)
     return max(1, min(most, max(least, round(1.0 / (USUAL * spacing)))))
 
 
@@ -68,7 +68,8 @@ def _sites(spacing: float) -> float:
 
 
 CLOSEST = 1e-2
-"""Smallest spacing, cell sizes: a choice; edges have a site for each, and a cell would hold a million pores."""
+"""Smallest spacing, cell sizes, to bound memory: edges have a site for each spacing, and a cell of this one would hold
+a million pores."""
 
 
 def homogeneous_counts(total: float, spacing: float, met: int = 1) -> tuple[float, float]:
@@ -159,14 +160,14 @@ def edge_sites(rng: np.random.Generator, spacing: float) -> NDArray[np.float64]:
     number = intervals(spacing)
     spare = 1.0 - number * spacing
     # where even equal intervals are wider than the widest, any will do: faces keep half a spacing from the border
-    widest = max(WIDEST * spacing, 1.0 / number + 1e-9)
+    widest = max(MAX_GAP * spacing, 1.0 / number + 1e-9)
     for _ in range(REJECTED):
         cuts = np.sort(rng.random(number - 1))
         widths = spacing + spare * np.diff(np.concatenate([[0.0], cuts, [1.0]]))
         if widths.max() <= widest or number == 1:
             return np.concatenate([[0.0], np.cumsum(widths)[:-1]])
-    # of many intervals one is nearly always too wide; then two at a time share their sum anew, uniformly within the
-    # bounds, which leaves the uniform distribution over all lawful divisions as it is (Gibbs sampling)
+    # of many intervals one is nearly always too wide; then two at a time redraw their parts of the sum, uniformly
+    # within the bounds, which leaves the uniform distribution over all lawful divisions as it is (Gibbs sampling)
     widths = np.full(number, 1.0 / number)
     for _ in range(SWEEPS):
         order = rng.permutation(number)
@@ -239,7 +240,9 @@ def homogeneous_faces(
     if totals is not None:
         return _graded(rng, total, spacing, sites, totals, met)
     share = occupied_share(total, spacing)
+    # sites are chosen before pores are thrown, so that faces keep away from all that any color uses
     chosen = [chosen_sites(rng, len(places), count, share) for places, count in zip(sites, colors, strict=True)]
+    # edges and corners hold what the sites give; faces get the rest of what makes the structure level
     inside = homogeneous_counts(total, spacing, met)[0]
     if face_count is not None:
         inside = face_count - sum(float(which.sum(1).mean()) for which in chosen)

@@ -181,7 +181,8 @@ def eliminate(
     periodic: Sequence[bool] = (False, False, False),
     oversampling: float = 5.0,
 ) -> NDArray[np.float64]:
-    """Exactly `count` points with a spacing as large as sample elimination makes it (some .7 of the densest packing's).
+    """Exactly `count` points with a spacing as large as sample elimination makes it (some 0.7 of the densest
+    packing's).
 
     Parameters
     ----------

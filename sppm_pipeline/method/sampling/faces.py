@@ -26,7 +26,8 @@ from sppm_pipeline.method.sampling.cell_list import CellList, empty_cell_list, n
 from sppm_pipeline.services.jit.compiled import jit
 
 FILLED = 0.95
-"""Pores of a cell filled up from its faces inward, as a share of those of a torus without faces (measured: .92-.97)."""
+"""Pores of a cell filled up from its faces inward, as a share of those of a torus without faces (measured:
+0.92-0.97)."""
 
 
 def split_between_faces_and_interior(
@@ -131,6 +132,7 @@ def throw_in_turn(
     thrown = True
     while thrown:
         thrown = False
+        # Fisher-Yates shuffle, in each round
         for last in range(patterns - 1, 0, -1):
             other = min(int(next_uniform(stream) * (last + 1)), last)
             held = order[last]
@@ -184,7 +186,7 @@ def mirrored_faces(
     total : int, optional
         Pores of the three faces of a cell together, spread by `face_counts`.
     attempts : int
-        How often all patterns are thrown anew when one was full before its count was reached.
+        How often all patterns are thrown again when one was full before its count was reached.
 
     Returns
     -------

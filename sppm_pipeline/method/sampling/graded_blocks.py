@@ -94,7 +94,7 @@ def is_free(
     own: float,
     metric: NDArray[np.float64],
 ) -> bool:
-    """Whether all points are at least the mean of their spacing and `own` away; plainly, if there are no metrics."""
+    """True if all points are at least the mean of their spacing and `own` away; plainly, if there are no metrics."""
     nz, ny, nx = cells.first.shape
     wx, wy, wz = cells.period[0] == 1.0, cells.period[1] == 1.0, cells.period[2] == 1.0
     repeats = wx or wy or wz

@@ -22,7 +22,8 @@ from sppm_pipeline.services.threads import ordered_map
 _PORE, _OBSTACLE = 0, -1
 _EPS = 1e-9
 FEW = 64
-"""Patterns below which they are thrown one by one: a choice, as a kernel for many of them has to be loaded."""
+"""Patterns below which they are thrown one by one: the kernel for many of them has to be loaded first. Only speed
+depends on it."""
 _RUN = 64
 """Boxes of one call: enough that the call costs nothing, few enough that all threads have work."""
 
@@ -243,5 +244,5 @@ def patterns_apart(
             for one, start in zip(which[counts > 0].tolist(), range(0, len(centers), max(count, 1)), strict=True):
                 patterns[one] = centers[start : start + count]
     for one in sorted(full):
-        patterns[one] = thrown(one)  # which tells how many fit
+        patterns[one] = thrown(one)  # which raises with the number that fits
     return patterns

@@ -22,7 +22,7 @@ def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True,
     Returns
     -------
     (n,) float64
-        Distances in cell sizes, in the order of `points`; infinite for a lone point without images.
+        Distances in cell sizes, in the order of `points`; infinite for a single point without images.
     """
     from scipy.spatial import cKDTree
 

@@ -42,7 +42,7 @@ _MARGIN = 3e-6
 
 
 class Surroundings(NamedTuple):
-    """What points are moved in.
+    """Box that points are moved in, and the points that do not move.
 
     Attributes
     ----------
@@ -117,6 +117,7 @@ def throw_stealthy(
     seen = count + float(around.weight.sum())
     sheet = max((float(around.weight[around.fixed[:, a] == 0].sum()) for a in range(3)), default=0.0)
     straight = int(waves.radius)
+    # the bound is that of the Fejer kernel
     if sheet * (straight + 1) > seen:
         # points whose first K waves across a plane vanish have at most 1 / (K + 1) of their number in that plane
         raise DesignError(
@@ -125,6 +126,7 @@ def throw_stealthy(
         )
     landscape = _Landscape(count, waves, spacing * (1 + _MARGIN), around, seen)
     for _ in range(_STARTS):
+        # independent points: the minimum that is found then has no trace of another order
         start = around.lower + rng.random((count, 3)) * (around.upper - around.lower)
         points, loudest = _descended(landscape, start)
         if loudest <= TOLERANCE:
@@ -267,6 +269,7 @@ def _descended(landscape: _Landscape, points: NDArray[np.float64]) -> tuple[NDAr
                 return points, largest
         moved, bent = trial - points, after[1] - gradient
         curvature = _dot(moved, bent)
+        # only pairs of positive curvature keep the inverse Hessian positive definite
         if curvature > 1e-12 * _dot(moved, moved):
             moves.append((moved, bent, curvature))
             del moves[:-_MEMORY]

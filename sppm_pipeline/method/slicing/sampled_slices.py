@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.printer import Printer
+from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing.slice_stack import Slab, Slabs, SliceStack
 from sppm_pipeline.method.slicing.spool import Spool
 from sppm_pipeline.services.grid import Grid
@@ -21,10 +22,10 @@ from sppm_pipeline.services.threads import computed_ahead, ordered_map
 if TYPE_CHECKING:
     from sppm_pipeline.method.connectivity.verdicts import IslandStatistics
     from sppm_pipeline.method.part.inside import Method
-    from sppm_pipeline.method.slicing.slab_passes import Survey
+    from sppm_pipeline.method.slicing.slab_passes import IslandPass
 
 SLAB_PIXELS = 2**22
-"""Samples decided at a time; a slab holds at least one layer."""
+"""Samples decided at a time; a slab holds at least one layer. Half as many, or twice, changes memory, hardly speed."""
 
 VOTED_PIXELS = 2**25
 """The same for a vote of rays, which looks at all triangles for every slab."""
@@ -35,20 +36,20 @@ BitSlab = tuple[int, NDArray[np.uint64]]
 
 
 class _Kept:
-    """What has been found out once: the layers without islands, or what workers have kept, and what was said."""
+    """Results of the first pass: the layers without islands, or the slabs that workers have kept, and the findings."""
 
     layers: Spool | None = None
-    survey: Survey | None = None
+    island_pass: IslandPass | None = None
     islands: dict[str, Any]
-    told: dict[str, Any]
+    summary: dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampledSlices(SliceStack):
     """Base of layers decided at the mid-height of each, at the middle of the pixels or of their parts.
 
-    A subclass says where it is solid. Islands are removed in a pass ahead of the delivering one; the layers are kept
-    in between, and from then on for whoever else reads them, so that nothing is evaluated twice.
+    A subclass decides which samples are solid. Islands are removed in a pass ahead of the delivering one; the
+    layers are kept in between, and from then on for other readers, so that nothing is evaluated twice.
 
     Attributes
     ----------
@@ -58,7 +59,8 @@ class SampledSlices(SliceStack):
         Pixel pitch along x and y, layer height, mm.
     lower : tuple of 3 floats
         World position of the low corner of the stack, mm.
-    islands : {"remove", "keep"}
+    islands : {"auto", "remove", "keep"}
+        Treatment of disconnected solid; "auto" as `connectivity.removal` limits it.
     subsamples : int
         For gray layers: each pixel is sampled on k x k points, and its value is the solid fraction.
     sublayers : int
@@ -111,27 +113,28 @@ class SampledSlices(SliceStack):
         return 1.0
 
     def prepared(self) -> Any:
-        """What `decided` needs for any sheet, made once for all who ask for some of them."""
+        """Data that `decided` needs for any sheet, made once for all readers."""
         return None
 
     @abstractmethod
     def decided(
         self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None
     ) -> Iterator[BitSlab]:
-        """Slabs of bits, set where solid, of all samples, bottom first; what it counts is added to `counts`.
+        """Slabs of bits, set where solid, of all samples, bottom first; its counts are added to `counts`.
 
         A slab begins with the first sheet of samples of a layer, and ends with the last one of a layer. Only the sheets
         start <= k < stop are decided, and are what they are among all.
         """
 
-    def told(self, counts: dict[str, int]) -> dict[str, Any]:
-        """Findings of its own, from what `decided` has counted."""
+    def summary_of_counts(self, counts: dict[str, int]) -> dict[str, Any]:
+        """Findings from the counts of `decided`."""
         return {}
 
     @property
     def height(self) -> int:
         """Sheets of samples that are decided at a time: some, or those of one layer."""
         nx, ny, _ = self.samples.shape
+        # whole layers only, as the sheets of one layer become one picture
         return max(1, self._at_once() // (nx * ny * self.sublayers)) * self.sublayers
 
     def _at_once(self) -> int:
@@ -154,7 +157,7 @@ class SampledSlices(SliceStack):
     def bit_slabs(self, threads: int = 1) -> Slabs:
         """`slabs` as bits, index of the first sheet of samples and sheets: an eighth of the bytes, and less work.
 
-        Nobody may change them.
+        They are shared and must not be changed.
         """
         return Slabs(self._watched(self._read_bits(threads)))
 
@@ -163,11 +166,12 @@ class SampledSlices(SliceStack):
 
         voxels = 0
         islands: dict[str, Any] = {}
-        told: dict[str, Any] = {}
-        for start, solid in self._cleaned(threads, islands, told):
+        summary: dict[str, Any] = {}
+        for start, solid in self._cleaned(threads, islands, summary):
+            # after the removal: what is printed
             voxels += count(solid)
             yield start, solid
-        return self.findings(islands, voxels, told)
+        return self.findings(islands, voxels, summary)
 
     def shaded(self, bits: NDArray[np.uint64]) -> NDArray[np.uint8]:
         """Layers as they are delivered from sheets of samples."""
@@ -181,57 +185,78 @@ class SampledSlices(SliceStack):
         factor, m = (self.subsamples, self.subsamples), self.sublayers
         return np.stack([gray_by_coverage(solid[k : k + m], factor) for k in range(0, len(solid), m)])
 
-    def findings(self, islands: dict[str, Any], count: int, told: dict[str, Any]) -> dict[str, Any]:
-        """What was found out while the layers were read; `count` is that of solid samples."""
+    def porosity(self, solid: float, summary: dict[str, Any]) -> float | None:
+        """Porosity of the whole part with so many solid samples; None if its volume is unknown."""
+        return None
+
+    def removal(self, statistics: IslandStatistics, summary: dict[str, Any]) -> dict[str, Any]:
+        """Findings on the islands, known before the first layer is delivered.
+
+        Raises
+        ------
+        DesignError
+            If more is removed than the option `islands` allows.
+        """
+        from sppm_pipeline.method.connectivity.removal import check_removal
+
+        solid, share = statistics.voxels, statistics.removed_share
+        before, after = (self.porosity(count, summary) for count in (solid, solid * (1 - share)))
+        check_removal(share, self.islands, None if before is None or after is None else (before, after))
+        return summary_of(statistics)
+
+    def findings(self, islands: dict[str, Any], count: int, summary: dict[str, Any]) -> dict[str, Any]:
+        """Findings of a whole pass over the layers; `count` is that of solid samples."""
         _, (hx, hy, hz), (nx, ny, nz) = self.samples
         volume = {
             "solid_voxels": count,
             "solid_share_of_box": count / (nx * ny * nz),
             "solid_volume_mm3": count * hx * hy * hz * self.unit_mm**3,
         }
-        return islands | volume | told
+        return islands | volume | summary
 
     @property
     def is_kept(self) -> bool:
-        """Whether its layers lie ready in this process, without islands, so that there is nothing left to evaluate."""
+        """True if the layers without islands lie in this process, so that there is nothing left to evaluate."""
         return self._kept.layers is not None
 
     @property
-    def survey(self) -> Survey | None:
-        """What workers have found out in a first pass, if they have made one."""
-        return self._kept.survey
+    def island_pass(self) -> IslandPass | None:
+        """Result of a first pass by workers, if they have made one."""
+        return self._kept.island_pass
 
-    def keep(self, survey: Survey) -> None:
-        """Know what workers have found out in a first pass."""
-        self._kept.survey, self._kept.islands, self._kept.told = survey, survey.islands, survey.told
+    def keep(self, island_pass: IslandPass) -> None:
+        """Keep the result of a first pass by workers."""
+        kept = self._kept
+        kept.island_pass, kept.islands, kept.summary = island_pass, island_pass.islands, island_pass.summary
 
-    def _cleaned(self, threads: int, found: dict[str, Any], told: dict[str, Any]) -> Iterator[BitSlab]:
-        """The solid, without islands if they are to be removed; what was removed is added to `found`."""
+    def _cleaned(self, threads: int, found: dict[str, Any], summary: dict[str, Any]) -> Iterator[BitSlab]:
+        """The solid, without islands if they are to be removed; findings on them are added to `found`."""
         counts: dict[str, int] = {}
         if self.islands == "keep":
             yield from self.decided(threads, counts)
-            told |= self.told(counts)
+            summary |= self.summary_of_counts(counts)
             return
         kept = self._kept
-        if kept.layers is not None or kept.survey is not None:
+        if kept.layers is not None or kept.island_pass is not None:
             found |= kept.islands
-            told |= kept.told
+            summary |= kept.summary
             if kept.layers is not None:
                 yield from (kept.layers.slab(number) for number in range(len(kept.layers)))
-            elif kept.survey is not None:
-                yield from kept.survey.cleared(self, threads)
+            elif kept.island_pass is not None:
+                yield from kept.island_pass.cleared(self, threads)
             return
         from sppm_pipeline.method.connectivity.streaming import IslandFilter
 
+        # the last layer may join a piece of the first one to the largest component, so all are labeled before any goes
         nx, ny, _ = self.samples.shape
         spool = Spool()
         islands = IslandFilter(ny, nx)
         for start, solid in self.decided(threads, counts):
             islands.observe_bits(solid)
             spool.append(start, solid)
-        found |= said_of(islands.finish("largest"))
-        told |= self.told(counts)
-        if not spool.whole:
+        summary |= self.summary_of_counts(counts)
+        found |= self.removal(islands.finish("largest"), summary)
+        if not spool.whole:  # the disk was full: the second pass evaluates the layers again
             for start, solid in self.decided(threads, {}):
                 islands.clear_bits(solid)
                 yield start, solid
@@ -241,12 +266,19 @@ class SampledSlices(SliceStack):
             islands.clear_bits(solid)
             spool.replace(number, solid)
             yield start, solid
-        kept.islands, kept.told = dict(found), dict(told)
+        kept.islands, kept.summary = dict(found), dict(summary)
+        # from now on the layers are read, not evaluated
         kept.layers = spool
 
 
-def said_of(statistics: IslandStatistics) -> dict[str, Any]:
-    """What findings say of islands."""
+def add_counts(counts: dict[str, int], more: dict[str, int]) -> None:
+    """Add what another slab has counted; in place."""
+    for name, count in more.items():
+        counts[name] = counts.get(name, 0) + count
+
+
+def summary_of(statistics: IslandStatistics) -> dict[str, Any]:
+    """Findings on islands."""
     return {
         "components": statistics.components,
         "removed_share": statistics.removed_share,
@@ -273,16 +305,45 @@ class FieldSlices(SampledSlices):
     def decided(
         self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None
     ) -> Iterator[BitSlab]:
+        # slabs side by side where a sampler allows for it, else threads within a slab
         apart = threads > 1 and self.source.slabs_in_threads(self.samples)
 
-        def slab(span: tuple[int, int]) -> BitSlab:
-            return span[0], self.source.solid_bits(self.samples, *span, 1 if apart else threads)
+        def slab(span: tuple[int, int]) -> tuple[BitSlab, dict[str, int]]:
+            asked = self.samples, *span, 1 if apart else threads
+            if isinstance(self.source, Part):
+                solid, counted = self.source.counted_bits(*asked)
+                return (span[0], solid), counted
+            return (span[0], self.source.solid_bits(*asked)), {}
 
         spans = self.spans(start, stop)
         if apart:
-            yield from ordered_map(slab, spans, threads, ahead=threads - 1)
-        else:  # whoever takes a slab looks for islands in it, by one thread
-            yield from computed_ahead(map(slab, spans), threads)
+            slabs = ordered_map(slab, spans, threads, ahead=threads - 1)
+        else:  # the reader of a slab looks for islands in it, by one thread
+            slabs = computed_ahead(map(slab, spans), threads)
+        for made, counted in slabs:
+            add_counts(counts, counted)
+            yield made
+
+    def summary_of_counts(self, counts: dict[str, int]) -> dict[str, Any]:
+        return dict(counts)
+
+    def porosity(self, solid: float, summary: dict[str, Any]) -> float | None:
+        domain = summary.get("domain", 0)
+        return 1 - solid / domain if domain else None
+
+    def findings(self, islands: dict[str, Any], count: int, summary: dict[str, Any]) -> dict[str, Any]:
+        found = super().findings(islands, count, {})
+        domain, skin = summary.get("domain", 0), summary.get("skin", 0)
+        if not domain:
+            return found
+        # islands were counted as a share of the whole solid
+        whole = count / (1 - islands.get("removed_share", 0.0)) if count else 0.0
+        found |= {"porosity": 1 - count / domain, "porosity_with_islands": 1 - whole / domain}
+        if skin and skin < domain:  # all void of the part lies beside its skin
+            infill = domain - skin
+            found["infill_porosity"] = (domain - count) / infill
+            found["infill_porosity_with_islands"] = (domain - whole) / infill
+        return found
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -326,7 +387,7 @@ class MeshSlices(SampledSlices):
             counts["undecided"] = counts.get("undecided", 0) + found.undecided
             yield first, pack(found.mask)
 
-    def told(self, counts: dict[str, int]) -> dict[str, Any]:
+    def summary_of_counts(self, counts: dict[str, int]) -> dict[str, Any]:
         if self.method == "scanline":
             return {}
         return {"undecided_share": counts.get("undecided", 0) / max(1, counts.get("inside", 0))}

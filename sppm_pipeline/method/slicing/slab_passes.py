@@ -1,7 +1,7 @@
 """Layers in slabs that workers go through apart from each other: once to find islands, once to deliver.
 
 The bits of the first pass stay in a file for each slab, in a folder that all workers see, so that the second one need
-not evaluate them again. Whoever finds no such file, or not all of it, evaluates the slab.
+not evaluate them again. If such a file is missing or incomplete, the slab is evaluated.
 """
 
 from __future__ import annotations
@@ -20,20 +20,22 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.slicing.sampled_slices import BitSlab, SampledSlices, said_of
-from sppm_pipeline.method.slicing.spool import OF_THE_DISK
+from sppm_pipeline.method.slicing.sampled_slices import BitSlab, SampledSlices, add_counts
+from sppm_pipeline.method.slicing.spool import MAX_DISK_SHARE
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.connectivity.verdicts import SlabLabels
 
-EACH = 6
-"""Slabs for each worker at least, so that the last ones do not wait long for each other; a choice."""
+MIN_SLABS = 6
+"""Slabs for each worker at least: at the end workers wait for a sixth of their work at most. Half as many slabs double
+that wait; twice as many halve it, for more and smaller results."""
 
-RESULTS = 16
-"""One in so many bytes of the memory may be taken by encoded slabs, all together; a choice."""
+MEMORY_PER_RESULT = 16
+"""Bytes of memory for each byte of encoded slabs, all together: they are small beside the work of the workers, and
+half as much room only makes slabs lower."""
 
-HELD = 2
-"""Encoded slabs of a worker that may wait at once, as it is given so many."""
+RESULTS_PER_WORKER = 2
+"""Encoded slabs of a worker that may wait at once: a worker is given as many tasks ahead."""
 
 
 class SlabTask(NamedTuple):
@@ -60,8 +62,8 @@ class SlabTask(NamedTuple):
     shown: tuple[int, ...] = ()
 
 
-class Surveyed(NamedTuple):
-    """What a worker has found out about a slab in the first pass."""
+class LabeledSlab(NamedTuple):
+    """Result of the first pass over a slab."""
 
     labels: SlabLabels
     counts: dict[str, int]
@@ -85,12 +87,13 @@ def slab_tasks(
         Where the bits of the first pass are kept, if the disk has room for them.
     """
     nx, ny, layers = stack.shape
-    each = nx * ny if stack.gray else nx * ny / 8  # of a layer that can't be compressed
-    most = int(memory / (RESULTS * HELD * workers) / each)
-    height = max(1, min(-(-layers // (EACH * workers)), most)) * stack.sublayers
+    each = nx * ny if stack.gray else nx * ny / 8  # bytes of a layer that can't be compressed
+    highest = int(memory / (MEMORY_PER_RESULT * RESULTS_PER_WORKER * workers) / each)
+    height = max(1, min(-(-layers // (MIN_SLABS * workers)), highest)) * stack.sublayers
+    # where the stack begins its own slabs, so that fields that depend on the slab agree to the bit
     height = max(1, height // stack.height) * stack.height
     *across, sheets = stack.samples.shape
-    if folder is not None and math.prod(across) * sheets / 8 > OF_THE_DISK * shutil.disk_usage(folder).free:
+    if folder is not None and math.prod(across) * sheets / 8 > MAX_DISK_SHARE * shutil.disk_usage(folder).free:
         folder = None
     return [
         SlabTask(start, min(start + height, sheets), threads, None if folder is None else str(folder / f"{start}.bits"))
@@ -98,18 +101,18 @@ def slab_tasks(
     ]
 
 
-def survey_slab(common: tuple[SampledSlices, Any], task: SlabTask) -> Surveyed:
+def label_slab(common: tuple[SampledSlices, Any], task: SlabTask) -> LabeledSlab:
     """First pass: evaluate a slab, keep its bits, and label its components."""
     from sppm_pipeline.method.connectivity.streaming import IslandFilter
 
     stack = common[0]
     nx, ny, _ = stack.samples.shape
     islands, counts = IslandFilter(ny, nx), dict[str, int]()
-    with _Bits(task.file) as bits:
+    with _Bits(task.file) as bits:  # the second pass reads them, maybe in another process
         for _, solid in _evaluated(stack, task, counts):
             islands.observe_bits(solid)
             bits.add(solid)
-    return Surveyed(islands.labels(), counts)
+    return LabeledSlab(islands.labels(), counts)
 
 
 def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[BitSlab]:
@@ -118,6 +121,7 @@ def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -
     sheets = _read(stack, task)
     if sheets is None:
         sheets = _evaluated(stack, task, counts)
+    # most slabs of a dense part have no islands
     if task.verdict is None or task.verdict.all():
         yield from sheets
         return
@@ -130,20 +134,20 @@ def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What the first pass over all slabs has found out.
+class IslandPass:
+    """Result of the first pass over all slabs.
 
     Attributes
     ----------
     tasks : tuple of SlabTask
         The slabs for the second pass.
-    islands, told : dict
+    islands, summary : dict
         See `SampledSlices.findings`.
     """
 
     tasks: tuple[SlabTask, ...]
     islands: dict[str, Any]
-    told: dict[str, Any]
+    summary: dict[str, Any]
 
     def cleared(self, stack: SampledSlices, threads: int) -> Iterator[BitSlab]:
         """All sheets without islands, in this process."""
@@ -151,22 +155,22 @@ class Survey:
             yield from cleared_slab(stack, task._replace(threads=threads), {})
 
 
-def surveyed(
+def find_islands(
     stack: SampledSlices,
     tasks: Sequence[SlabTask],
-    run: Callable[[Iterable[SlabTask]], Iterator[Surveyed]],
+    run: Callable[[Iterable[SlabTask]], Iterator[LabeledSlab]],
     progress: Callable[[int], None],
-) -> Survey:
-    """The first pass by workers; the stack knows the result, too, for whoever reads it next.
+) -> IslandPass:
+    """Make the first pass by workers; the stack keeps the result for its next reader.
 
     Parameters
     ----------
     stack : SampledSlices
     tasks : sequence of SlabTask
     run : function
-        Has workers call `survey_slab` for each task, in order.
+        Has workers call `label_slab` for each task, in order.
     progress : function
-        Told how many slabs are ready.
+        Called with the number of slabs that are ready.
     """
     from sppm_pipeline.method.connectivity.slab_union import SlabUnion
 
@@ -176,16 +180,12 @@ def surveyed(
         add_counts(counts, found.counts)
         progress(number)
     statistics, verdicts = union.finish("largest")
+    # each slab gets the verdict on its own ids alone
     second = tuple(task._replace(verdict=verdict) for task, verdict in zip(tasks, verdicts, strict=True))
-    survey = Survey(second, said_of(statistics), stack.told(counts))
-    stack.keep(survey)
-    return survey
-
-
-def add_counts(counts: dict[str, int], more: dict[str, int]) -> None:
-    """Add what another slab has counted; in place."""
-    for name, count in more.items():
-        counts[name] = counts.get(name, 0) + count
+    summary = stack.summary_of_counts(counts)
+    island_pass = IslandPass(second, stack.removal(statistics, summary), summary)
+    stack.keep(island_pass)
+    return island_pass
 
 
 def _evaluated(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[BitSlab]:
@@ -195,14 +195,15 @@ def _evaluated(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> 
 
 
 _PREPARED: WeakKeyDictionary[SampledSlices, Any] = WeakKeyDictionary()
-"""What a worker needs for every slab of a stack."""
+"""Data that a worker needs for every slab of a stack."""
 
 
 class _Bits:
-    """Writes the bits of a slab, whole or not at all; a full disk is no error, as there is another way."""
+    """Writer of the bits of a slab, whole or not at all; on a full disk the slab is evaluated again instead."""
 
     def __init__(self, file: str | None) -> None:
         self._final = None if file is None else Path(file)
+        # two workers may be given the same slab if one is taken for dead
         self._part = Path(f"{file}.{socket.gethostname()}-{os.getpid()}")
         self._open: IO[bytes] | None = None
 
@@ -226,6 +227,7 @@ class _Bits:
         try:
             self._open.close()
             if kind is None and self._final is not None:
+                # atomic: a reader finds all of the slab or nothing
                 os.replace(self._part, self._final)
                 return
         except OSError:
@@ -251,7 +253,7 @@ def _read(stack: SampledSlices, task: SlabTask) -> Iterator[BitSlab] | None:
     try:
         if task.file is None or os.stat(task.file).st_size != 8 * (task.stop - task.start) * ny * words:
             return None
-        opened = open(task.file, "rb")  # noqa: SIM115  # closed by whoever has read it
+        opened = open(task.file, "rb")  # noqa: SIM115  # closed by its reader, below
     except OSError:
         return None
 

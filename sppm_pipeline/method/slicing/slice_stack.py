@@ -23,7 +23,7 @@ Slab = tuple[int, NDArray[np.uint8]]
 
 
 class Slabs:
-    """The slabs of a stack in one pass from the bottom, and what was found out on the way.
+    """The slabs of a stack in one pass from the bottom, and the findings on the way.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class SliceStack(Artifact, ABC):
 
     @abstractmethod
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
-        """Yield the slabs, and return what was found out on the way; see `slabs`."""
+        """Yield the slabs, and return the findings; see `slabs`."""
 
     def slabs(self, threads: int = 1) -> Slabs:
         """The layers, bottom first: 0 (void) to 255 (solid), binary stacks hold nothing between.
@@ -97,7 +97,7 @@ class SliceStack(Artifact, ABC):
         return Slabs(self._checked(threads))
 
     def attribute(self, fault: Callable[[str], Exception]) -> None:
-        """See `Artifact.attribute`; whoever passes a stack on has not made it."""
+        """See `Artifact.attribute`; the first stage that had the stack has made it."""
         if self._fault is None:
             object.__setattr__(self, "_fault", fault)
 
@@ -127,14 +127,16 @@ class SliceStack(Artifact, ABC):
                     )
                 if start != below or start + len(layers) > nz:
                     raise fault(f"that delivers layers {start} to {start + len(layers) - 1} after {below} of {nz}")
+                # checked slab by slab, so that a faulty plugin is named before much is written
                 below += len(layers)
                 yield start, layers
         finally:
+            # a reader may stop early; generators of sources then free their files
             slabs.close()
         if below != nz:
             raise fault(f"that delivers {below} layers and announces {nz}")
         if not isinstance(findings, dict):
-            raise fault(f"whose `read` returns {type(findings).__name__}, expected a dict of what it found out")
+            raise fault(f"whose `read` returns {type(findings).__name__}, expected a dict of findings")
         return findings
 
     def _watched(self, slabs: Generator[Any, None, Any]) -> Generator[Any, None, Any]:
@@ -189,13 +191,14 @@ class SliceStack(Artifact, ABC):
             values = values * np.uint8(255)
         if not 0 <= values.min() <= values.max() <= 255:
             raise ValueError("layers hold integers from 0 (void) to 255 (solid)")
+        # a copy: the caller may go on to change the array
         stack = ArraySlices(frozen(values.astype(np.uint8)), pitch, printer)
         stack.check()
         return stack
 
     @property
     def gray(self) -> bool:
-        """Whether values between 0 and 255 occur."""
+        """True if values between 0 and 255 occur."""
         return False
 
     def check(self) -> None:
@@ -290,6 +293,7 @@ def stack_size(
     held = min(samples / 8, IN_MEMORY) if kept else 0.0
     along = per_edge[0] * gray
     others = (per_edge[1] * gray, per_edge[2] * gray_layers)
+    # commensurate pitches repeat from cell to cell, so patches serve
     even = abs(along - round(along)) < 1e-6 and max(abs(n / along - 1) for n in others) < 1e-9
     inside = body.volume * math.prod(per_edge) * each
     slab = min(samples, max(2.0**22, nx * ny * each))

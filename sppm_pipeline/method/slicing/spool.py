@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 IN_MEMORY = 2**27
-"""Bytes that a spool keeps in memory; what comes then goes into a temporary file. A choice."""
+"""Bytes that a spool keeps in memory; further slabs go into a temporary file. These are 10^9 samples; with half as
+many more stacks go through the disk, which the system caches in memory anyway."""
 
-OF_THE_DISK = 0.25
-"""Share of what is free where temporary files go that a spool may take; a choice."""
-
+MAX_DISK_SHARE = 0.25
+"""Share of the free space for temporary files that a spool may take, so that other processes keep most of it; beyond
+it the layers are evaluated twice."""
 
 SPARSE = 0.5
 """Share of words with bits up to which a slab is kept as these words alone. Around a body most are empty: those of a
@@ -40,6 +41,7 @@ def _kept(bits: NDArray[np.uint64]) -> NDArray[np.uint64] | _Words:
     there = words != 0
     if np.count_nonzero(there) > SPARSE * len(words):
         return bits
+    # the flags take 1/64 of the words
     return _Words(np.packbits(there), words[there], bits.shape)
 
 
@@ -47,7 +49,7 @@ class Spool:
     """Slabs of bits, see `numerics.bit_rows`, in the order in which they came.
 
     Evaluating a sample takes a nanosecond and more, and so does compressing its bit (zlib at its fastest, a quarter of
-    the size), so they are not.
+    the size), so bits are not compressed.
 
     Attributes
     ----------
@@ -76,12 +78,13 @@ class Spool:
         try:
             if self._file is None:
                 self._file = tempfile.TemporaryFile(prefix="sppm-layers-")  # noqa: SIM115  # gone with this process
+            # of the space that was free without this file
             room = self._written + shutil.disk_usage(tempfile.gettempdir()).free  # before there was the file
-            if self._written + bits.nbytes > OF_THE_DISK * room:
+            if self._written + bits.nbytes > MAX_DISK_SHARE * room:
                 raise OSError("no room")
             self._file.write(bits.data)
             self._written += bits.nbytes
-        except OSError:  # there is another way: to evaluate the layers again
+        except OSError:  # not an error: the layers are evaluated again
             self.whole = False
             self._bits.clear()
             self._drop_file()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline import Context, Palette, Rejected, ScalarField, Size, Stage, Tiling, option, options
+from sppm_pipeline import Context, Headline, Palette, Rejected, ScalarField, Size, Stage, Tiling, option, options
+from sppm_pipeline.method.connectivity.removal import check_removal, removal_warning
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.wrapped import CleanedField
 from sppm_pipeline.services.grid import cell_centers
@@ -21,7 +21,8 @@ class CheckConnectivity(Stage):
 
     A periodic cell is labeled on the torus, where opposite faces are one; so removing everything but the largest
     component keeps it periodic. The paper labels without wrapping and calls a cell erroneous if a component that had
-    to be removed touches its surface; that is ``islands: reject``, to be used inside ``tune.retry``.
+    to be removed touches its surface; that is ``islands: reject``, to be used inside ``tune.retry``. With ``islands:
+    auto`` a structure of which 10 % of the solid or more is disconnected is rejected, too.
 
     Of cells that were laid from pores and tunnels the parts of their graph are counted, too. At the center of every
     pore and along the axis of every tunnel the sum of the kernels is at least 1, above any level that is below 1: one
@@ -29,16 +30,21 @@ class CheckConnectivity(Stage):
     """
 
     name: ClassVar[str] = "check.connectivity"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("solid_components", "components of the solid"), Headline("void_components", "of the void"),
+        Headline("solid_removed_share", "share of disconnected solid"), Headline("porosity"),
+        Headline("porosity_without_islands", "without it"),
+    )  # fmt: skip
     reported: ClassVar[tuple[str, ...]] = (
         "solid_components", "solid_wraps.#3", "solid_removed_share", "void_components", "void_wraps.#3",
-        "void_removed_share", "porosity", "islands_at_surface", "graph_parts",
+        "void_removed_share", "porosity", "porosity_without_islands", "islands_at_surface", "graph_parts",
     )  # fmt: skip
 
     resolution: int = options.resolution(48, minimum=4, maximum=512)
     islands: str = options.islands(
-        "remove",
-        note="remove it, reject the cell as the paper does, or keep and only report it",
-        choices=("remove", "reject", "keep"),
+        "auto",
+        note="reject refuses a cell as the paper does, keep only reports it",
+        choices=("auto", "remove", "reject", "keep"),
     )
     bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")
 
@@ -49,14 +55,14 @@ class CheckConnectivity(Stage):
         """Label both phases; the result is the field, without islands if they are removed."""
         from sppm_pipeline.method.connectivity.components import phase_report
         from sppm_pipeline.method.connectivity.islands import keep_largest, loose_parts
+        from sppm_pipeline.method.tiling.lattice import dilated
 
         n = self.resolution
         solid = field.solid(cell_centers(n, field.cells), context.threads).T
         periodic = (field.periodic,) * 3
-        through = True
-        for phase, zeros in (("solid", False), ("void", True)):
-            report = phase_report(solid, periodic, 6, zeros=zeros)
-            through &= all(report.wraps)
+        phases = {zeros: phase_report(solid, periodic, 6, zeros=zeros) for zeros in (False, True)}
+        for zeros, report in phases.items():
+            phase = "void" if zeros else "solid"
             context.report(
                 **{
                     f"{phase}_components": report.components,
@@ -64,7 +70,10 @@ class CheckConnectivity(Stage):
                     f"{phase}_removed_share": report.removed_share,
                 }
             )
-        context.report(porosity=1 - float(solid.mean()))
+        share = phases[False].removed_share
+        porosity = 1 - float(solid.mean())
+        after = porosity + share * (1 - porosity)
+        context.report(porosity=porosity, porosity_without_islands=after)
         if (parts := _graph_parts(field)) is not None:
             context.report(graph_parts=parts)
         if self.islands == "reject":
@@ -72,15 +81,19 @@ class CheckConnectivity(Stage):
             context.report(islands_at_surface=loose.at_boundary)
             if loose.at_boundary:
                 raise Rejected(f"{loose.at_boundary} islands lie at the surface of the cell")
-        if self.bicontinuous and not through:
+        if self.bicontinuous and not all(all(report.wraps) for report in phases.values()):
             raise Rejected("solid and void do not both run through in x, y and z")
         if self.islands == "keep":
             return field
+        check_removal(share, self.islands, (porosity, after), finer="a finer `resolution`", error=Rejected)
+        if warning := removal_warning(share, (porosity, after)):
+            context.warn(warning)
         kept = keep_largest(solid, periodic)
         if (kept == solid).all():
             return field
         # voxels of what stays may touch an island across an edge or a corner
-        return CleanedField(field, _grown(solid - kept, field.periodic) & ~kept, n)
+        beside = dilated(solid != kept, field.periodic) & (kept == 0)
+        return CleanedField(field, beside.view(np.uint8), n)
 
 
 def _graph_parts(field: ScalarField) -> int | None:
@@ -97,11 +110,3 @@ def _graph_parts(field: ScalarField) -> int | None:
     graph = field.tileset.micro.graph
     pores = graph.pores
     return parts_of_layout(pores.piece, graph.edges, graph.shift, pores.interiors, pores.colors, field.arrays)
-
-
-def _grown(mask: NDArray[Any], periodic: bool) -> NDArray[np.uint8]:
-    """The mask and all voxels beside it."""
-    grown = np.pad(mask.astype(np.uint8), 1, mode="wrap" if periodic else "edge")
-    for axis in range(3):
-        grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
-    return np.ascontiguousarray(grown[1:-1, 1:-1, 1:-1])

@@ -45,7 +45,7 @@ class CheckTiling(Stage):
         if tileset.kind == "scattered":
             raise DesignError(
                 "scattered pores are no tiles: there are no faces, so no rule to check",
-                hint="leave out `check.tiling`; `check.residual_periodicity` tells that nothing repeats",
+                hint="leave out `check.tiling`; `check.residual_periodicity` shows that nothing repeats",
             )
         interior = arrays.interior
         wang = tileset.kind == "wang"

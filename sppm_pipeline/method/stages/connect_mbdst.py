@@ -12,9 +12,9 @@ from sppm_pipeline import Cell, Connector, Context, DesignError, Length, PoreSet
 from sppm_pipeline.method.families.cloud import Cloud, Piece
 from sppm_pipeline.method.families.interiors import MANY
 
-MOST = 3000
-"""Pores of a piece up to which `exact` is used: a choice. The relaxation takes a second for 2000 and a quarter of a
-minute for 4000."""
+MAX_EXACT = 3000
+"""Pores of a piece up to which `exact` is used, for time: the relaxation takes a second for 2000 and a quarter of a
+minute for 4000. Beyond, `greedy` makes graphs that are some percent longer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class BoundedDegreeSubgraph(Connector):
 
     def mode_for(self, pores: int) -> str:
         """The mode by which so many pores are joined; where a clearance has to be proved impossible, always `mode`."""
-        return "greedy" if self.mode == "greedy" or (pores > MOST and self.clearance is None) else "exact"
+        return "greedy" if self.mode == "greedy" or (pores > MAX_EXACT and self.clearance is None) else "exact"
 
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         from sppm_pipeline.method.connecting.bounded import spanning_subgraph
@@ -165,7 +165,7 @@ class BoundedDegreeSubgraph(Connector):
         from sppm_pipeline.method.connecting.degrees import clamped_degrees
 
         sizes = np.diff(pores.by_piece[1])
-        self._tell_mode(context, len(pores.centers) if pores.blocks is not None else int(sizes.max(initial=0)))
+        self._warn_of_mode(context, len(pores.centers) if pores.blocks is not None else int(sizes.max(initial=0)))
 
         def relaxed(sizes: NDArray[np.integer]) -> int:
             kinds, counts = np.unique(sizes, return_counts=True)
@@ -178,7 +178,7 @@ class BoundedDegreeSubgraph(Connector):
             context.report(interiors_with_relaxed_degree=relaxed(sizes[: pores.interiors]))
         return graph
 
-    def _tell_mode(self, context: Context, largest: int) -> None:
+    def _warn_of_mode(self, context: Context, largest: int) -> None:
         """Warn of a former name, and if pieces of so many pores are joined by another mode than the one asked for."""
         if self.mode == "lp_fix":
             context.warn("option 'mode': `lp_fix` is now `exact`; the old name works in this version")

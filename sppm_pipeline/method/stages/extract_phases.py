@@ -100,7 +100,7 @@ class ExtractPhases(Stage):
         from sppm_pipeline.method.porosity.shell import in_shell
 
         assert self.coating is not None
-        thickness = self.coating.value if self.coating.unit is None else self.coating.mm() / field.physical_edge()
+        thickness = self.coating.in_cells(field.edge_mm)
         if thickness * self.resolution * RESOLVED_WALL < 1:
             context.warn(
                 f"the coating is {thickness * self.resolution:.2g} voxels thick and may look broken; "
@@ -117,7 +117,7 @@ class ExtractPhases(Stage):
 
 
 def _check_fits(first: ScalarField, field: ScalarField, number: int) -> None:
-    """Whether a field lies where the first one does, or repeats as that one does."""
+    """Raise `ConfigError` unless a field lies where the first one does, or repeats as that one does."""
     edges = (first.edge_mm, field.edge_mm)
     if None not in edges and edges[0] != edges[1]:
         raise ConfigError(

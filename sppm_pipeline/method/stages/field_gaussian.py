@@ -24,24 +24,29 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.method.fields.microstructure import CUTOFF, LOWEST_LEVEL, finest_pitch, pieces_from_graph
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
-from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
+from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES, TunnelProfile
 from sppm_pipeline.nouns.size import Geometry
 
-NARROWEST, WIDEST = 1e-3, 8.0
-"""Cell sizes from the axis of a kernel to where it is cut off."""
+MIN_REACH, MAX_REACH = 1e-3, 8.0
+"""Cell sizes from the axis of a kernel to where it is cut off. A narrower one is missed by every grid; a wider one
+is summed in more than 4000 cells around its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianField(Stage):
     """Sum Gaussian pores ``exp(-omega r^2)`` and tunnels ``exp(-mu d)``, cut at the level C (paper, eq. 1-5).
 
-    Sizes are given either as radii, which the lone kernel has at the level C, or as omega and mu. The paper prints
-    tunnels with the plain distance d; with ``tunnel: squared`` they fall off like pores. Sizes may vary from pore to
-    pore and from tunnel to tunnel by a log-normal factor.
+    Sizes are given either as radii, which an isolated kernel has at the level C, or as omega and mu. These count in
+    cell sizes, or in the unit in which the first sampling stage gives the cell an `edge` without a unit: with the
+    paper's omega = mu = 30 that is ``edge: 2``. The paper prints tunnels with the plain distance d; with ``tunnel:
+    squared`` they fall off like pores. Sizes may vary from pore to pore and from tunnel to tunnel by a log-normal
+    factor.
     """
 
     name: ClassVar[str] = "field.gaussian"
-    reported: ClassVar[tuple[str, ...]] = ("pore_radius", "tunnel_radius", "omega", "mu")
+    reported: ClassVar[tuple[str, ...]] = (
+        "pore_radius", "tunnel_radius", "pore_radius_mm", "tunnel_radius_mm", "omega", "mu",
+    )  # fmt: skip
 
     pore_radius: Length | None = options.pore_radius(None)
     tunnel_radius: Length | None = options.tunnel_radius(None)
@@ -65,15 +70,15 @@ class GaussianField(Stage):
             raise ConfigError("give the size of the tunnels by one of `tunnel_radius` and `mu`")
 
     def estimate(self, palette: Palette, graph: Size) -> Size:
-        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
         from sppm_pipeline.services.boolean_model import expected_structure, kernels_at_a_point
 
         cell, profile = graph.cell, TUNNEL_PROFILES[self.tunnel]
-        omega, mu = self._parameters(Cell(cell.edge, cell.edge_mm is not None))
+        omega, mu = self._parameters(cell.cell)
         radii = PORE_PROFILE.radius(omega, self.level), profile.radius(mu, self.level)
         reaches = float(PORE_PROFILE.reach(omega, CUTOFF)), float(profile.reach(mu, CUTOFF))
         porosity, surface = expected_structure(cell.pores, cell.tunnels, *radii)
         kernels = kernels_at_a_point(cell.pores, cell.tunnels, *reaches)
+        # what is below this level is summed sample by sample, see `Microstructure.coarse_pitch`
         coarse = 1 / finest_pitch(omega, mu, self.tunnel, self.level) if self.level >= LOWEST_LEVEL else math.inf
         made = Geometry(
             edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches), coarse=coarse
@@ -85,8 +90,6 @@ class GaussianField(Stage):
 
     def run(self, context: Context, graph: TunnelGraph) -> Microstructure:
         """Give every pore and tunnel its kernel."""
-        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
-
         cell, profile = graph.pores.cell, TUNNEL_PROFILES[self.tunnel]
         omega, mu = self._parameters(cell)
         pores = log_normal_factors(lambda: context.rng(0), self.pore_spread, len(graph.pores.centers))
@@ -96,34 +99,49 @@ class GaussianField(Stage):
         del pores, tunnels  # there may be millions
         self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
         self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
-        context.report(
-            pore_radius=PORE_PROFILE.radius(omega, self.level),
-            tunnel_radius=profile.radius(mu, self.level),
-            omega=omega,
-            mu=mu,
-        )
+        radii = {
+            "pore_radius": PORE_PROFILE.radius(omega, self.level),
+            "tunnel_radius": profile.radius(mu, self.level),
+        }
+        if cell.physical:
+            radii |= {f"{name}_mm": radius * cell.edge for name, radius in radii.items()}
+        context.report(**radii, omega=omega, mu=mu)
         return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, self.tunnel), self.level)
 
     def _parameters(self, cell: Cell) -> tuple[float, float]:
-        """Omega and mu in cell sizes, from whichever option is there."""
-        from sppm_pipeline.method.kernels.profiles import omega_from_radius, omega_in_cell_units
+        """Omega and mu in cell sizes, from whichever option is there.
 
+        Raises
+        ------
+        ConfigError
+            If omega or mu is given for a cell of physical size, which leaves its unit open.
+        """
         profile = TUNNEL_PROFILES[self.tunnel]
-        if self.omega is not None:
-            omega = omega_in_cell_units(self.omega, cell.edge)
-        else:
-            assert self.pore_radius is not None
-            omega = omega_from_radius(cell.fraction(self.pore_radius), self.level)
-        if self.mu is not None:
-            return omega, profile.in_cell_units(self.mu, cell.edge)
-        assert self.tunnel_radius is not None
-        return omega, profile.mu(cell.fraction(self.tunnel_radius), self.level)
+        return (
+            self._parameter(cell, PORE_PROFILE, "omega", self.omega, "pore_radius", self.pore_radius),
+            self._parameter(cell, profile, "mu", self.mu, "tunnel_radius", self.tunnel_radius),
+        )
+
+    def _parameter(
+        self, cell: Cell, profile: TunnelProfile, name: str, value: float | None, other: str, radius: Length | None
+    ) -> float:
+        if value is None:
+            assert radius is not None
+            return profile.mu(cell.fraction(radius), self.level, other.replace("_", " "))
+        if cell.physical:
+            same = f"{profile.radius(value, self.level):.4g}"
+            raise ConfigError(
+                f"`{name}: {value:g}` has no unit, and the cell has a physical size, {cell.edge:g} mm",
+                hint=f"write `{other}: {same} mm` if it counts in millimeters, `{other}: {same} cell` if in cells; "
+                "or leave the size to `cell` of a `tile` stage, with `edge: 2` for the numbers of the paper",
+            )
+        return profile.in_cell_units(value, cell.edge, f"size parameter {name}")
 
     def _check_reach(self, name: str, reach: NDArray[np.float64]) -> None:
         """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""
-        if len(reach) and not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
+        if len(reach) and not (reach.min() >= MIN_REACH and reach.max() <= MAX_REACH):
             raise ConfigError(
                 f"option {name!r} is {getattr(self, name)}, which makes kernels that reach {reach.min():.3g} to "
-                f"{reach.max():.3g} cell sizes; allowed are {NARROWEST:g} to {WIDEST:g}",
-                hint="lengths are fractions of the cell size unless the first sampling stage gives another `edge`",
+                f"{reach.max():.3g} cell sizes; allowed are {MIN_REACH:g} to {MAX_REACH:g}",
+                hint="lengths without a unit are fractions of the cell size",
             )

@@ -28,14 +28,15 @@ from sppm_pipeline import (
 from sppm_pipeline.method.families.inside_test import outward_mesh
 from sppm_pipeline.services.formats.input_file import content_of
 
-FEWEST_CELLS = 2
-"""Along the longest side of a part; a smaller one is seldom meant."""
+MIN_CELLS = 2
+"""Cells along the longest side of a part below which a warning asks for the unit: an inch is 25 mm."""
 
-LARGEST_LIST = 2**27
+MAX_LIST_BYTES = 2**27
 """Bytes of a list of triangles."""
 
-NOTICED = 5e-3
-"""Sealed void that is warned about, as a fraction of the part's bounding box; less is a voxel's doubt."""
+WARNED_VOID = 5e-3
+"""Sealed void that triggers a warning, as a fraction of the part's bounding box. The coarse grid has 2^20 voxels, so
+less may be voxels that it closes by mistake; a factor of two changes only who is warned."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,7 @@ class ImplicitFill(Stage):
         minimum=-1e5,
         maximum=1e5,
     )
-    islands: str = options.islands("remove", note="in the finished part")
+    islands: str = options.islands("auto", note="in the finished part")
     inside: str = options.inside("auto")
 
     def check_options(self) -> None:
@@ -125,9 +126,9 @@ class ImplicitFill(Stage):
         edge = field.physical_edge()
         domain, method = outward_mesh(context, domain, self.inside)
         extent = domain.upper - domain.lower if len(domain.faces) else None
-        if extent is not None and extent.max() < FEWEST_CELLS * edge:
+        if extent is not None and extent.max() < MIN_CELLS * edge:
             context.warn(
-                f"{domain.name} is {' x '.join(f'{side:.4g}' for side in extent)} mm in size, less than {FEWEST_CELLS} "
+                f"{domain.name} is {' x '.join(f'{side:.4g}' for side in extent)} mm in size, less than {MIN_CELLS} "
                 f"cells of {edge:g} mm; if its file is in inches, `unit: in` of `read.mesh` makes it "
                 f"{' x '.join(f'{25.4 * side:.4g}' for side in extent)} mm"
             )
@@ -136,7 +137,7 @@ class ImplicitFill(Stage):
         if part.skin_mm:
             sealed = sealed_void(part, context.threads)
             context.report(sealed_mm3=sealed)
-            if sealed > NOTICED * float(np.prod(domain.upper - domain.lower)):
+            if sealed > WARNED_VOID * float(np.prod(domain.upper - domain.lower)):
                 context.warn(
                     f"the skin of {part.skin_mm:g} mm seals about {sealed:.3g} mm3 of void, in which liquid resin or "
                     "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
@@ -186,7 +187,7 @@ def listed_triangles(path: Path, count: int) -> NDArray[np.int64]:
     InputError
         If one is no number of a triangle.
     """
-    words = content_of(path, LARGEST_LIST).replace(b",", b" ").split()
+    words = content_of(path, MAX_LIST_BYTES).replace(b",", b" ").split()
     wrong = next((word for word in words if not (word.isdigit() and len(word) < 10 and int(word) < count)), None)
     if wrong is not None:
         raise InputError(

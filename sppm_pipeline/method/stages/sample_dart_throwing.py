@@ -106,7 +106,7 @@ class DartThrowing(Sampler):
             around=around, obstacles=obstacles, share=share, threads=context.threads,
         ):  # fmt: skip
             for left in np.flatnonzero(found < 0).tolist():
-                # there is an error to be told
+                # raises the error that names what fits
                 self.thrown(context, done + left, interiors.box(done + left))
             counts[done : done + len(found)] = found
             centers.append(thrown)

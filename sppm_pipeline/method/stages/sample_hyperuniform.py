@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Cell, ConfigError, Context, Length, PoreSet, Sampler, option, options
 from sppm_pipeline.method.families.interiors import InteriorBox, Meetings
+from sppm_pipeline.method.families.scattered import FilledBlocks, with_evened
 from sppm_pipeline.method.stages.sample_dart_throwing import HALF_PACKED
+from sppm_pipeline.nouns.palette import Blocks
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.sampling.structure_factor import Waves
@@ -27,9 +29,14 @@ class Hyperuniform(Sampler):
     short distances (Torquato 2018, "Hyperuniform states of matter"). Pores on the faces stay where they are and count:
     the pores of the whole cell, periodically repeated, have no structure factor. Where an interior may meet several
     face patterns, that holds for the mean of these patterns.
+
+    Scattered pores are evened out all at once, wherever a block ends: by descent on a pair potential whose transform
+    covers the same waves. Their structure factor gets small there instead of zero, and blocks exchange pores. Where a
+    map changes the density, blocks are silenced one by one among the pores of their neighbors.
     """
 
     name: ClassVar[str] = "sample.hyperuniform"
+    version: ClassVar[int] = 2
 
     count: int | None = options.count(None, note="in one interior", minimum=2, maximum=10_000)
     total: int | None = options.total(None, note="those on the faces are taken off", maximum=10_000)
@@ -66,6 +73,8 @@ class Hyperuniform(Sampler):
         from sppm_pipeline.method.sampling.structure_factor import structure_factor
 
         thrown = super().run(context, pores)
+        if thrown.blocks is not None and context.palette.blocks is not None and _together(context.palette.blocks):
+            return thrown  # `scatter` has reported
         meetings = Meetings(thrown, context.palette)
         loudest = 0.0
         for t in range(thrown.interiors):
@@ -80,6 +89,18 @@ class Hyperuniform(Sampler):
             smallest_distance=min(min_spacing(thrown.of_piece(t), repeats) for t in range(thrown.interiors)),
         )
         return thrown
+
+    def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
+        # equal pairs at equal distances: where the density varies, they would even that out, too
+        if not _together(blocks):
+            return super().scatter(context, base, blocks)
+        count = self.count if self.total is None else max(self.total - len(base.centers) / base.interiors, 0)
+        assert count is not None
+        spacing = self.requested_spacing(base.cell) or base.spacing or self._half_packed(0)
+        pores, factor = with_evened(context, base, blocks, count, spacing, self.stealth or PERIODIC)
+        if blocks.periodic:
+            context.report(mean_structure_factor=factor)
+        return pores
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
         from sppm_pipeline.method.sampling.stealthy import Surroundings, throw_stealthy
@@ -103,3 +124,8 @@ class Hyperuniform(Sampler):
         from sppm_pipeline.method.sampling.stealthy import stealthy_waves
 
         return stealthy_waves(count, self.stealth or (BETWEEN_FACES if has_faces else PERIODIC))
+
+
+def _together(blocks: Blocks) -> bool:
+    """True if the pores of all blocks are evened out together: those whose density a map changes are not."""
+    return blocks.density is None and not isinstance(blocks, FilledBlocks)

@@ -60,7 +60,7 @@ class MirroredFaces(Stage):
     )
     edge: Length | None = options.edge(
         None,
-        note="the lengths of this recipe are given in a cell of this size, 1 if omitted",
+        note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
         unit=None,
         above=None,
         minimum=1e-6,
@@ -90,12 +90,12 @@ class MirroredFaces(Stage):
             from sppm_pipeline.method.sampling.edges import homogeneous_counts
 
             met = _met(palette)
-            total, fraction = self._homogeneous(None if self.spacing is None else self.spacing.value / cell.edge, met)
+            total, fraction = self._homogeneous(None if self.spacing is None else cell.cell.fraction(self.spacing), met)
             on_faces = self.count if self.count is not None else sum(homogeneous_counts(total, fraction, met))
         elif self.total is None and self.count is None:
             from sppm_pipeline.method.sampling.faces import split_between_faces_and_interior
 
-            spacing = None if self.spacing is None else self.spacing.value / cell.edge
+            spacing = None if self.spacing is None else cell.cell.fraction(self.spacing)
             on_faces, _ = split_between_faces_and_interior(
                 total=None, face_count=None, spacing=spacing, share=self.share, colors=max(colors)
             )

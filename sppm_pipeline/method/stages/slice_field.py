@@ -34,7 +34,7 @@ class SliceField(Stage):
     resolution: int | None = options.resolution(None, note="instead of `pixel` and `layer`", maximum=2048)
     printer: str | None = options.printer(None, note="sets `pixel`")
     cards: Path | None = options.cards(None)
-    islands: str = options.islands("remove", note="a part decides for itself")
+    islands: str = options.islands("auto", note="a part decides for itself")
     gray: int = options.gray(1, formerly="grey")
     gray_layers: int = options.gray_layers(1)
     exact: bool = options.exact(False)
@@ -53,7 +53,7 @@ class SliceField(Stage):
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         body = replace(field.body, coarse=math.inf) if self.exact else field.body
-        made = stack_size(body, self._cut(body.scale)[1], self.gray, self.gray_layers, self.islands == "remove")
+        made = stack_size(body, self._cut(body.scale)[1], self.gray, self.gray_layers, self.islands != "keep")
         return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:

@@ -53,7 +53,7 @@ class SliceMesh(Stage):
         return cut_for(self.printer, self.cards, self.pixel, self.layer)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
-        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, self.gray_layers, self.islands == "remove")
+        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, self.gray_layers, self.islands != "keep")
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:

@@ -76,7 +76,7 @@ class FreshTiling(Stage):
         if wanted > self.limit:
             raise DesignError(
                 f"the part takes {wanted} cells{', with those around it' if halo else ''}, and each would be drawn "
-                f"anew; the limit is {self.limit}",
+                f"separately; the limit is {self.limit}",
                 hint=f"give larger cells, raise `limit: {wanted}`, or use `tileset.free_faces` with many interiors",
             )
         interior, faces = tile_fresh(mask, periodic=self.periodic)

@@ -22,8 +22,8 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.method.families.tiler import (
     HALO,
-    ROOM,
-    TOLD,
+    REPORTED_CELLS,
+    TRIAL_BLOCKS,
     Scattering,
     at_porosity,
     check_repeats,
@@ -71,8 +71,10 @@ class ScatteredTiling(Stage):
         if grading is None:
             recipe(palette, blocks)
         else:  # drawn and measured in rounds, the last one but one closely, as are some cells in the end
-            recipe(palette, blocks * (1 + self.rounds) + 8 * ROOM**3 * self.trials)
-            trial = float(self.resolution) ** 3 * (made.cells * (1 + (self.rounds - 1) / 8) + min(made.cells, TOLD))
+            recipe(palette, blocks * (1 + self.rounds) + 8 * TRIAL_BLOCKS**3 * self.trials)
+            trial = float(self.resolution) ** 3 * (
+                made.cells * (1 + (self.rounds - 1) / 8) + min(made.cells, REPORTED_CELLS)
+            )
         counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
         return made.at_porosity(self.porosity, **counts)
 

@@ -15,10 +15,12 @@ class WriteGraph(Stage):
     """Write pores and tunnels as GraphML or node-link JSON, and report degrees, bridges and loops.
 
     Coordinates and lengths are in cell sizes, as the attribute ``length_unit`` of the graph says; ``cell_size_mm`` is
-    there if the cell has a size.
+    there if the cell has a size. A tunnel with the attribute ``shift`` leads from the pore with the lower number to the
+    image of the other one that is so many cells away, whatever the order in which a reader lists the two.
     """
 
     name: ClassVar[str] = "write.graph"
+    libraries: ClassVar[tuple[str, ...]] = ("networkx",)
 
     path: str = options.write_path("graph.graphml", suffixes=(".graphml", ".json"))
 

@@ -32,6 +32,7 @@ def _combined(corners: NDArray[np.int32], colors: int, axes: tuple[int, ...]) ->
         low = np.take(number, range(number.shape[axis] - 1), axis)
         high = np.take(number, range(1, number.shape[axis]), axis)
         number = low + base * high
+        # a number of two ends has twice as many digits
         base *= base
     return number.astype(np.int32)
 
@@ -78,6 +79,7 @@ def tile_corners(
         i, j, k = i % nx, j % ny, k % nz
     corners = (hash_places(seed, CORNER, i, j, k) % np.uint64(colors)).astype(np.int32)
     if interiors is None:
+        # corner cubes of Lagae and Dutre: the content follows from the eight corners
         inside = _combined(corners, colors, (0, 1, 2))
     else:
         check_count("interiors", interiors)

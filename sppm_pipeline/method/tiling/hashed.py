@@ -52,12 +52,14 @@ def tile_hashed(mask: ArrayLike, seed: int, interiors: int, colors: int, *, peri
     cells = checked_mask(mask)
     nx, ny, nz = cells.shape
     i, j, k = np.ogrid[:nx, :ny, :nz]
+    # a hash of the place alone, so that any cell is known without its neighbors
     drawn = hash_places(seed, INTERIOR, i, j, k) % np.uint64(interiors)
     interior = np.where(cells, drawn.astype(np.int32), np.int32(-1))
     faces = []
     for axis, there in enumerate(face_presence(cells, periodic)):
         indices = list(np.ogrid[tuple(slice(n) for n in there.shape)])
         if periodic:
+            # the last plane is drawn as the first one, to which it is glued
             indices[axis] = indices[axis] % cells.shape[axis]
         drawn = hash_places(seed, FACE + axis, indices[0], indices[1], indices[2]) % np.uint64(colors)
         faces.append(np.where(there, drawn.astype(np.int32), np.int32(-1)))

@@ -27,11 +27,17 @@ def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
 
 
 def dilated(cells: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool_]:
-    """The cells and all their neighbors, across edges and corners, too."""
-    found = np.pad(cells, 1, mode="wrap" if periodic else "constant")
-    for axis in range(3):
-        found = found | np.roll(found, 1, axis) | np.roll(found, -1, axis)
-    return found[1:-1, 1:-1, 1:-1]
+    """The cells and all that share a face, an edge or a corner with one of them; a copy."""
+    for axis in range(3):  # growing along one axis after the other reaches the corners
+        along = np.moveaxis(cells, axis, 0)
+        more = along.copy(order="K")
+        more[1:] |= along[:-1]
+        more[:-1] |= along[1:]
+        if periodic:
+            more[0] |= along[-1]
+            more[-1] |= along[0]
+        cells = np.moveaxis(more, 0, axis)
+    return cells
 
 
 def with_halo(cells: NDArray[np.bool_], halo: int) -> NDArray[np.bool_]:
@@ -79,6 +85,7 @@ def face_presence(mask: NDArray[np.bool_], periodic: bool = False) -> tuple[NDAr
         cells = np.moveaxis(mask, axis, 0)
         there = np.zeros((cells.shape[0] + 1, *cells.shape[1:]), np.bool_)
         there[:-1] = cells
+        # plane i is the low side of cell i and the high side of cell i - 1
         there[1:] |= cells
         if periodic:
             there[0] |= there[-1]
@@ -110,6 +117,7 @@ def faces_of_cells(colors: Faces, mask: NDArray[np.bool_], periodic: bool = Fals
         shown = np.moveaxis(colors[axis], axis, 0)
         planes = np.full((cells.shape[0] + 1, *cells.shape[1:]), -1, np.int32)
         planes[:-1][cells] = shown[cells]
+        # where two cells meet both show the same color, so the order does not matter
         planes[1:][cells] = shown[cells]
         if periodic:
             planes[0] = np.where(planes[0] < 0, planes[-1], planes[0])
@@ -196,6 +204,7 @@ def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> Laid:
     faces = []
     for axis, there in enumerate(face_presence(cells, periodic)):
         if periodic:
+            # the plane at the end gets the number of the first one
             low = np.take(there, range(cells.shape[axis]), axis)
             numbers = _numbered(low)
             faces.append(np.concatenate([numbers, np.take(numbers, [0], axis)], axis))

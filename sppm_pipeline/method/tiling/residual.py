@@ -128,6 +128,7 @@ def folded_shares(image: ArrayLike, cells: tuple[int, int, int]) -> Folded:
     def share(*along: bool) -> float:
         """Mean over the middle half of the axes that are true, and near the lattice along the others."""
         x, y, z = (m if inside else b for inside, m, b in zip(along, middle, near, strict=True))
+        # weights along the axes, as voxels may lie half in a span
         return float(np.einsum("ijk,i,j,k", mean, x, y, z))
 
     edges = share(True, False, False), share(False, True, False), share(False, False, True)
@@ -186,12 +187,14 @@ def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: boo
     if corrected and count < 2:
         raise ValueError("the corrected share compares different cells, but there is one cell only")
     statistics = _statistics(blocks)
+    # law of total variance: within cells and between them
     total = float(statistics.variances.mean() + statistics.means.var())
     if total == 0.0:
         return float("nan")
     repeating = float(statistics.mean_cell.var())
     if corrected:
         within = float(statistics.variances.sum())
+        # count^2 times the variance of the mean cell is the sum of all covariances; those of a cell with itself go
         repeating = (count * count * repeating - within) / (count * (count - 1))
     return repeating / total
 

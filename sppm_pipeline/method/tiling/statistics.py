@@ -56,6 +56,7 @@ def rule1_violations(tiles: ArrayLike, tile_faces: ArrayLike, *, periodic: bool 
     broken = np.zeros(3, np.int64)
     for axis in range(3):
         cells = np.moveaxis(placed, axis, 0)
+        # the high face of a cell touches the low face of the next one
         low, high = (cells, np.roll(cells, -1, axis=0)) if periodic else (cells[:-1], cells[1:])
         both = (low >= 0) & (high >= 0)
         broken[axis] = np.count_nonzero(colors[low[both], 2 * axis + 1] != colors[high[both], 2 * axis])
@@ -143,6 +144,7 @@ def alike_neighbors(interior: ArrayLike, *, periodic: bool = False) -> tuple[NDA
         both = (here >= 0) & (other >= 0)
         pairs[axes - 1] += np.count_nonzero(both)
         alike[axes - 1] += np.count_nonzero(both & (here == other))
+    # both cells of a pair have met each other
     return alike // 2, pairs // 2
 
 
@@ -168,6 +170,7 @@ def rule2_scores(tiles: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[n
     for axes, there, here, other in _neighbors(cells, periodic):
         both = (here >= 0) & (other >= 0)
         largest[there] += _WEIGHTS[axes] * both
+        # eq. 6: a neighbor counts if it is another tile
         score[there] += _WEIGHTS[axes] * (both & (here != other))
     return score, largest
 
@@ -210,6 +213,7 @@ def entropy_per_cell(mask: ArrayLike, kind: str, colors: int, interiors: int = 1
     check_count("interiors", interiors)
     cells = checked_mask(mask)
     if kind == "wang":
+        # Rule 1 leaves one free color for each unbroken row
         colored = sum(_runs(np.moveaxis(cells, axis, 0), periodic) for axis in range(3))
     elif kind == "free":
         faces = face_presence(cells, periodic)
@@ -221,6 +225,7 @@ def entropy_per_cell(mask: ArrayLike, kind: str, colors: int, interiors: int = 1
             corners[tuple(slice(d, n + d) for d, n in zip(step, cells.shape, strict=True))] |= cells
         if periodic:
             for axis in range(3):
+                # the last plane of corners is the first one
                 ends = np.take(corners, [0], axis) | np.take(corners, [-1], axis)
                 corners = np.concatenate([ends, np.take(corners, range(1, cells.shape[axis]), axis)], axis)
         colored = int(corners.sum())
@@ -235,5 +240,6 @@ def _runs(cells: NDArray[np.bool_], periodic: bool) -> int:
     before = np.roll(cells, 1, axis=0)
     if not periodic:
         before[0] = False
+    # a row of a periodic box that has no gap has no start either
     starts = int((cells & ~before).sum())
     return starts + (int(cells.all(axis=0).sum()) if periodic else 0)

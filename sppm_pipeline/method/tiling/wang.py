@@ -99,6 +99,7 @@ def _fill(
                 x0, x1 = (0, colors) if along_x < 0 else (along_x // square, along_x // square + 1)
                 y0, y1 = (0, colors) if along_y < 0 else (along_y // colors % colors, along_y // colors % colors + 1)
                 z0, z1 = (0, colors) if along_z < 0 else (along_z % colors, along_z % colors + 1)
+                # all three runs have colors: Rule 1 leaves one tile
                 if x1 - x0 == 1 and y1 - y0 == 1 and z1 - z0 == 1:
                     flat_tiles[place] = (x0 * colors + y0) * colors + z0
                     continue
@@ -115,6 +116,7 @@ def _fill(
                                 least, ties = weight, 1
                             elif weight == least:
                                 ties += 1
+                # ties are drawn by the hash of the place, so that no cell depends on how many were drawn before
                 chosen = int(flat_draws[place] % np.uint64(ties))
                 for x in range(x0, x1):
                     for y in range(y0, y1):

@@ -20,7 +20,7 @@ LARGEST_PART = 2**31
 HIGHEST_RATIO, ALWAYS_ALLOWED = 200, 2**20
 """A part larger than this may unpack to this many times its size; meshes as XML unpack to ten or twenty times."""
 
-_DIRECTORY = 4 * 2**20  # bytes of the list of parts, some ten thousands
+_DIRECTORY = 4 * 2**20  # bytes of the list of parts, about 40,000
 _CHUNK = 2**20
 _BROKEN = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError

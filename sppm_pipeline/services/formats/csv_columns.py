@@ -18,7 +18,7 @@ from sppm_pipeline.services.formats.input_file import require_file
 LARGEST_FILE = 2**33
 """Bytes; larger files are refused before they are read."""
 
-MOST_ROWS = 5_000_000
+MAX_ROWS = 5_000_000
 """Rows that are held; a file of more is refused as soon as one more has been read."""
 
 _LONGEST_LINE = 1 << 16
@@ -68,7 +68,7 @@ def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDA
             with warnings.catch_warnings():  # of lines without data
                 warnings.simplefilter("ignore")
                 rows: NDArray[np.float64] = np.loadtxt(
-                    file, delimiter=separator, comments="#", usecols=places, ndmin=2, max_rows=MOST_ROWS + 1,
+                    file, delimiter=separator, comments="#", usecols=places, ndmin=2, max_rows=MAX_ROWS + 1,
                     quotechar='"', converters=converters,
                 )  # fmt: skip
         except (ValueError, IndexError) as error:
@@ -77,9 +77,9 @@ def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDA
             ) from error
     if not rows.size:
         raise InputError(f"{path.name} names columns, but holds no rows")
-    if len(rows) > MOST_ROWS:
+    if len(rows) > MAX_ROWS:
         raise InputError(
-            f"{path.name} has more than {MOST_ROWS} rows", hint="average some of them, or make an image of them"
+            f"{path.name} has more than {MAX_ROWS} rows", hint="average some of them, or make an image of them"
         )
     return rows
 
@@ -102,7 +102,7 @@ def _place(file: str, found: list[str], name: str) -> int:
 
 
 def _explained(message: str, above: int) -> str:
-    """What numpy says of a field; of what can't be converted it counts rows from 0."""
+    """Numpy's message about a field, reworded; numpy counts rows from 0."""
     first = (message.splitlines() or [""])[0]
     first = re.sub(r"at row (\d+), column", lambda match: f"at row {int(match[1]) + 1}, column", first)
     return re.sub(r"at row (\d+)", rf"at row \1 below line {above}", first)[:200]

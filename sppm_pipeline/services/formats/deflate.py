@@ -34,7 +34,7 @@ _CLOSE = 8
 _ZEROS = 256 * _CLOSE
 _AGAIN = _ZEROS + _LONGEST_RUN + 2
 _TOKENS = _AGAIN + _LONGEST_RUN + 1
-_MOST_BITS = 32  # of a token that is written at once
+_MAX_BITS = 32  # of a token that is written at once
 
 _ONE, _EIGHT, _BYTE = np.uint64(1), np.uint64(8), np.uint64(0xFF)
 _COPIES = np.uint64(0x0101010101010101)
@@ -95,7 +95,7 @@ def _png_order(word: np.uint64) -> np.uint64:
 def _tokens(rows: NDArray[np.uint64], row_bytes: int) -> tuple[NDArray[np.uint16], NDArray[np.int32], int]:
     """The tokens of a picture, how often each occurs, and the check sum of its filtered bytes.
 
-    Places count the filtered bytes from the first; `at` is the one of the last byte that is told by a token. That byte
+    Places count the filtered bytes from the first; `at` is the one of the last byte that a token describes. That byte
     is `last`, and `again` times it follows.
     """
     height, words = rows.shape
@@ -223,7 +223,7 @@ def _members(token: int, symbols: NDArray[np.int64]) -> int:
 
 @jit
 def _symbol_counts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
-    """How often each symbol of bytes and runs occurs in tokens that occur so often."""
+    """Counts of each symbol of bytes and runs, from the counts of tokens."""
     often = np.zeros(_SYMBOLS, np.int64)
     often[_END] = 1
     members = np.zeros(4, np.int64)
@@ -248,7 +248,7 @@ def _written(
 ) -> NDArray[np.uint8]:
     """The stream: header, one block with codes of its own, check sum.
 
-    `lengths` are those of the codes of symbols, of which the first `used` are told, as `symbols` with `extras`, whose
+    `lengths` are those of the codes of symbols, of which the first `used` are written as `symbols` with `extras`, whose
     codes have the lengths `short`.
     """
     members = np.zeros(4, np.int64)
@@ -275,7 +275,7 @@ def _written(
         if counts[token] > 0:
             total = np.uint64(0)
             for i in range(_members(token, members)):
-                if total + size[members[i]] <= np.uint64(_MOST_BITS):
+                if total + size[members[i]] <= np.uint64(_MAX_BITS):
                     token_bits[token] |= bits[members[i]] << total
                 total += size[members[i]]
             token_size[token] = total
@@ -309,7 +309,7 @@ def _written(
             held >>= _EIGHT
             filled -= _EIGHT
     for token in tokens:
-        parts = _members(int(np.int64(token)), members) if token_size[token] > _MOST_BITS else 1
+        parts = _members(int(np.int64(token)), members) if token_size[token] > _MAX_BITS else 1
         for part in range(parts):
             if parts == 1:
                 held |= token_bits[token] << filled

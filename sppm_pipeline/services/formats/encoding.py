@@ -42,7 +42,7 @@ class Written(NamedTuple):
 
 
 class InPieces(NamedTuple):
-    """How a file is written while its mesh comes piece by piece: a head, what comes in front, what comes behind.
+    """Encoder of a file whose mesh comes piece by piece: a head, vertices in front, faces behind.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ def _zeros(count: str) -> Any:
         from numba import types
 
         def typed(typing_context: Any, value: Any) -> Any:
-            """How many bits of a word of 64 bits are 0 before the first 1 from one end; 64 if all are."""
+            """Number of zero bits of a word of 64 bits before the first 1 from one end; 64 if all are zero."""
 
             def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
                 return getattr(builder, count)(arguments[0], ir.Constant(ir.IntType(1), 0))

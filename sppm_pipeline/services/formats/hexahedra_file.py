@@ -17,7 +17,7 @@ READERS = {".vtu": "vtu", ".vtk": "vtk", ".inp": "abaqus", ".msh": "gmsh"}
 LARGEST_FILE = 2 * 2**30
 """Bytes; larger files are refused before they are read."""
 
-MOST_ELEMENTS = 100_000
+MAX_ELEMENTS = 100_000
 
 IGNORED = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9"}
 """Elements of lower dimension, which boundary conditions use."""
@@ -62,8 +62,8 @@ def read_hexahedra(path: Path) -> Hexahedra:
             hint="mesh the part with hexahedra, or fill it by `tile.scattered`",
         )
     elements = np.concatenate([block[:, :8] for block in blocks])
-    if len(elements) > MOST_ELEMENTS:
-        raise InputError(f"{path.name} has {len(elements)} elements; the limit is {MOST_ELEMENTS}")
+    if len(elements) > MAX_ELEMENTS:
+        raise InputError(f"{path.name} has {len(elements)} elements; the limit is {MAX_ELEMENTS}")
     if elements.min() < 0 or elements.max() >= len(points):
         raise InputError(f"{path.name}: an element names a node that does not exist")
     if not np.isfinite(points[np.unique(elements)]).all():

@@ -34,11 +34,11 @@ _MM = {
 """Millimeters of the units that ImageJ writes; any other, such as "pixel", is none of length."""
 _RESOLUTION_UNITS = {2: 25.4, _CENTIMETER: 10.0}
 _ROUNDED = 1e-4
-"""Relative difference of edges up to which they are taken as equal: files round pixels per unit. A choice."""
+"""Edges whose relative difference is no larger are equal: files round pixels per unit."""
 
 _DEFLATED = (8, 32946)  # compression schemes of TIFF
 _HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
-"""What deflate can make of a byte, and what a strip may unpack to before anybody looks closer."""
+"""Bytes that deflate can make of one byte, and bytes that a strip may unpack to without a closer look."""
 
 
 def decode_tiff(data: bytes, name: str) -> VoxelImage:

@@ -22,7 +22,7 @@ from sppm_pipeline.services.formats.input_file import library, third_party_reade
 from sppm_pipeline.services.formats.voxel_image import LARGEST_IMAGE, VoxelImage, checked_shape, raw_values
 
 _LONGEST_HEADER = 1 << 20
-_WIDEST = 8  # bytes of a voxel
+_MAX_WIDTH = 8  # bytes of a voxel
 _HINT = "the file was cut or damaged, or is of a kind that is not read; save it again with attached data (.nrrd)"
 
 
@@ -48,7 +48,7 @@ def decode(data: bytes, name: str) -> VoxelImage:
         raise InputError(f"{name}: endian is little or big, not {header['endian']!r}")
     with third_party_reader("nrrd", name, _HINT):
         shape = checked_shape(tuple(int(size) for size in header["sizes"]), 1, name)
-    body = _unpacked(data[head.tell() :], header, min(_WIDEST * math.prod(shape), LARGEST_IMAGE), name)
+    body = _unpacked(data[head.tell() :], header, min(_MAX_WIDTH * math.prod(shape), LARGEST_IMAGE), name)
     with third_party_reader("nrrd", name, _HINT):
         values = nrrd.read_data(header, io.BytesIO(body))
         spacing = _spacing(header, name)

@@ -193,7 +193,7 @@ def _ascii(
 
 
 def _places(lines: Lines, words: list[bytes], element: _Element) -> Sequence[int]:
-    """Where each property of a row begins; a list begins with its length."""
+    """Offset of each property in a row; a list begins with its length."""
     places, place = [], 0
     for entry in element.properties:
         places.append(place)
@@ -376,7 +376,7 @@ def encode(
 
 
 def in_pieces(vertices: int, faces: int, reach: tuple[float, float]) -> InPieces | None:
-    """What `encode` writes of a mesh of float64 with so many vertices and faces, while it comes in pieces.
+    """Encoder of a mesh of float64 with known numbers of vertices and faces, while it comes in pieces.
 
     Parameters
     ----------

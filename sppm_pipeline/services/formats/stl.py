@@ -1,4 +1,4 @@
-"""STL, binary and ASCII. The format knows no shared vertices: equal positions are merged on reading."""
+"""STL, binary and ASCII. The format has no shared vertices: equal positions are merged on reading."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 
 
 def is_binary(data: bytes | memoryview | bytearray) -> bool:
-    """Whether the size is that of the number of triangles in the header (a few stray bytes more are allowed)."""
+    """Return whether the size is that of the number of triangles in the header (a few stray bytes more are allowed)."""
     if len(data) < _HEADER:
         return False
     return 0 <= len(data) - _HEADER - _RECORD * int.from_bytes(data[80:84], "little") < _RECORD
 
 
 def is_ascii(data: bytes | memoryview | bytearray) -> bool:
-    """Whether it begins like ASCII STL: ``solid``, and ``facet`` or ``endsolid`` soon after, or no byte but text."""
+    """Return whether it is like ASCII STL: ``solid``, and ``facet`` or ``endsolid`` soon after, or no byte but text."""
     head = bytes(data[:4096]).lstrip().lower()
     if not head.startswith(b"solid"):
         return False
@@ -148,7 +148,7 @@ def _ascii_corners(data: bytes | memoryview | bytearray, name: str, named: Group
 
 
 def _words(lines: Lines, begin: Callable[[list[bytes]], None]) -> Iterator[bytes]:
-    """The words of the file, but for the names of solids; `begin` is told the name of each, and its end."""
+    """The words of the file, but for the names of solids; `begin` gets the name of each, and its end."""
     for words in lines:
         for at, word in enumerate(words):
             yield word

@@ -28,7 +28,7 @@ _HINT = "save the image again by ParaView or VTK, or as .nrrd, .tif or .npy"
 
 
 class _Header:
-    """What the XML says; raw data behind it are no XML and are left out."""
+    """Contents of the XML, without the raw data behind it, which are no XML."""
 
     def __init__(self, name: str) -> None:
         self.name = name

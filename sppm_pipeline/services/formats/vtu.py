@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.services.formats.volume_arrays import as_written
 
 VTK_TYPES = {4: 10, 10: 24}
-"""VTK's number of straight and quadratic tetrahedra, by the nodes of a cell; its order of nodes is ours."""
+"""VTK's number of straight and quadratic tetrahedra, by the nodes of a cell; its order of nodes is the same as here."""
 
 _HEXAHEDRON, _HEXAHEDRON_NODES = 12, (0, 1, 3, 2, 4, 5, 7, 6)
 """VTK goes around the lower face, then around the upper one."""

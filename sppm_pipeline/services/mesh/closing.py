@@ -200,7 +200,7 @@ def _move_to_border(
     high: NDArray[np.float64],
 ) -> None:
     """Move vertices in or beyond the outermost planes of samples (first, last) into the border (low, high)."""
-    # Vertices keep EDGE_MARGIN off the planes of samples unless they lie in them, so a quarter of it tells them apart.
+    # Vertices keep EDGE_MARGIN off the planes of samples unless they lie in them, so a quarter of it separates them.
     slack, inset = EDGE_MARGIN / 4, EDGE_MARGIN / 2
     for i in range(vertices.shape[0]):
         for axis in range(3):

@@ -45,7 +45,7 @@ EDGE_MARGIN = 2.0**-10
 
 @jit
 def _share(a: float, b: float, level: float) -> float:
-    """Where the level lies between two samples, kept off both ends; NaN (an infinite sample) falls to the first."""
+    """Place of the level between two samples, kept off both ends; NaN (an infinite sample) falls to the first."""
     t = (level - np.float64(a)) / (np.float64(b) - np.float64(a))
     if not t > EDGE_MARGIN:
         return EDGE_MARGIN

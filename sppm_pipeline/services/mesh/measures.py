@@ -48,17 +48,17 @@ class EdgeCounts(NamedTuple):
 
     @property
     def closed(self) -> bool:
-        """Whether each directed edge occurs exactly once, and so does its opposite (a closed, oriented surface)."""
+        """True if each directed edge and its opposite occur exactly once (a closed, oriented surface)."""
         return self.edges > 0 and self.non_manifold == 0 and self.unbalanced == 0
 
     @property
     def consistent(self) -> bool:
-        """Whether neighbors turn the same way wherever two triangles meet (boundaries are allowed)."""
+        """Return whether neighbors turn the same way wherever two triangles meet (boundaries are allowed)."""
         return self.non_manifold == 0 and self.unbalanced == self.boundary
 
     @property
     def bounds_solid(self) -> bool:
-        """Whether the mesh bounds a volume: the edges are balanced, though several sheets may meet in one."""
+        """Return whether the mesh bounds a volume: the edges are balanced, though several sheets may meet in one."""
         return self.edges > 0 and self.unbalanced == 0
 
 
@@ -88,7 +88,7 @@ def edge_counts(faces: NDArray[np.integer]) -> EdgeCounts:
 
 
 def balanced_edges(faces: NDArray[np.integer]) -> bool:
-    """Whether every edge runs as often in one direction as in the other, as `EdgeCounts.bounds_solid` says.
+    """Return whether every edge runs as often in one direction as in the other, as `EdgeCounts.bounds_solid` says.
 
     Found in one pass and without memory: each edge is hashed to 64 bits, counted positive in one direction and negative
     in the other, and the sum must vanish. A mesh that is not balanced passes with a probability of 2^-64.
@@ -254,7 +254,7 @@ def _sums_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDAr
 
 
 def nothing_found() -> NDArray[np.float64]:
-    """What `add_sums` begins with."""
+    """Initial value of `add_sums`."""
     return np.concatenate([np.zeros(3), np.full(3, np.inf), np.full(3, -np.inf)])
 
 
@@ -283,7 +283,7 @@ def _edge_keys(faces: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], ND
 
 @jit
 def edge_balance(faces: NDArray[np.int32]) -> np.uint64:
-    """What `balanced_edges` adds up; modulo 2^64."""
+    """Summands of `balanced_edges`, modulo 2^64."""
     total = np.uint64(0)
     for i in range(faces.shape[0]):
         for c in range(3):

@@ -32,7 +32,7 @@ class Orientation(NamedTuple):
     Attributes
     ----------
     faces : (m, 3) int32
-        The triangles, wound outwards as far as that could be found out.
+        The triangles, wound outwards as far as that could be determined.
     turned : int
         Triangles that were turned.
     patches : int

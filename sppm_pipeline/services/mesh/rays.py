@@ -108,12 +108,27 @@ def wall_thickness(tree: BoxTree, samples: int = SAMPLES) -> WallThickness:
     samples : int
         Number of points.
     """
-    t = tree.triangles
-    normals = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+    points, inwards, place = spread_points(tree.triangles, samples)
+    return WallThickness(exits_along(tree, points, inwards, tree.order[place], False), points)
+
+
+def spread_points(
+    triangles: NDArray[np.float64], samples: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Points spread evenly over the area of triangles (m, 3, 3), the same for the same triangles.
+
+    Returns
+    -------
+    points, inwards : (samples, 3) float64
+        The points, and the unit normals that point into the solid; (0, 3) if there is no area.
+    triangle : (samples,) int64
+        Which triangle each lies on.
+    """
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice = np.linalg.norm(normals, axis=1)
     share = np.cumsum(twice)
-    if not share[-1] > 0:
-        return WallThickness(np.empty(0), np.empty((0, 3)))
+    if not (len(share) and share[-1] > 0):
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64)
     i = np.arange(samples)
     # inside of a triangle, points follow a sequence of low discrepancy (Roberts 2018) that no lattice can resonate with
     place = np.minimum(np.searchsorted(share, (i + 0.5) / samples * share[-1], side="right"), len(share) - 1)
@@ -121,10 +136,8 @@ def wall_thickness(tree: BoxTree, samples: int = SAMPLES) -> WallThickness:
     one, other = (0.5 + i * 0.7548776662466927) % 1, (0.5 + i * 0.5698402909980532) % 1
     over = one + other > 1
     one, other = np.where(over, 1 - one, one)[:, None], np.where(over, 1 - other, other)[:, None]
-    a, b, c = t[place, 0], t[place, 1], t[place, 2]
-    points = a + one * (b - a) + other * (c - a)
-    inwards = -normals[place] / twice[place, None]
-    return WallThickness(exits_along(tree, points, inwards, tree.order[place], False), points)
+    a, b, c = triangles[place, 0], triangles[place, 1], triangles[place, 2]
+    return a + one * (b - a) + other * (c - a), -normals[place] / twice[place, None], place
 
 
 @jit
@@ -197,7 +210,7 @@ def _hit(t: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64],
 
 @jit
 def _enters(box: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64], best: float) -> bool:
-    """Whether a ray meets a box nearer than the best hit."""
+    """Return whether a ray meets a box nearer than the best hit."""
     near, far = 0.0, best
     for a in range(3):
         if d[a] == 0.0:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree
 
-FAR = 3.0
+FAR_RADII = 3.0
 """A node is a dipole for points further off than this many of its radii; numbers are then right to 0.02."""
 
 
@@ -43,7 +43,7 @@ def dipoles(tree: BoxTree) -> Dipoles:
 
 def winding_numbers(tree: Dipoles, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The winding number of points (k, 3); 1 inside a closed mesh, 0 outside, and between them near a hole."""
-    return _numbers(tree.triangles, tree.starts, tree.poles, np.ascontiguousarray(points, np.float64), FAR)
+    return _numbers(tree.triangles, tree.starts, tree.poles, np.ascontiguousarray(points, np.float64), FAR_RADII)
 
 
 @jit
@@ -111,7 +111,7 @@ def winding_at(
     z: float,
     far_radii: float,
 ) -> float:
-    """The winding number of one point; `waiting` has room for `DEPTH` nodes, and `far_radii` is `FAR` or quicker."""
+    """Winding number of one point; `waiting` has room for `DEPTH` nodes, and `far_radii` is `FAR_RADII` or less."""
     leaves = starts.size - 1
     near, far = 0.0, 0.0
     waiting[0] = 0

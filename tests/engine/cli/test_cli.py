@@ -221,9 +221,23 @@ def test_a_sweep_with_failures(here, capsys):
     (here / "sweep.yaml").write_text(text + "sweep: {factor: [100, 200]}\n")
     assert sppm("run", "sweep.yaml", "-q") == 0
     (here / "sweep.yaml").write_text(text + "sweep: {factor: [100, 1e-9]}\n")
-    assert sppm("run", "sweep.yaml", "-q") == 3
+    capsys.readouterr()
+    assert sppm("run", "sweep.yaml") == 3
     assert "run 0001 (factor=1e-09) failed: " in capsys.readouterr().out
-    assert sppm("run", "sweep.yaml", "-q", "--keep-going") == 0
+    assert sppm("run", "sweep.yaml", "-q", "--keep-going") == 3
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "sppm: run 0001 (factor=1e-09) failed: " in captured.err
+    assert sppm("run", "sweep.yaml", "-q", "--ignore-failed") == 0
+    assert sppm("run", "sweep.yaml", "-k", "--ignore-failed") == 2
+
+
+def test_quiet_prints_nothing_on_stdout(here, capsys):
+    for words in (["-q"], ["-q", "-n"]):
+        assert sppm("run", "demo.yaml", *words) == 0
+        assert capsys.readouterr().out == ""
+    assert sppm("run", "demo.yaml", "-q", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "done"
 
 
 FAILURES = [("value", 4), ("design", 3), ("missing", 3), ("disk", 5), ("memory", 5), ("escape", 2), ("wrong_type", 4)]

@@ -21,20 +21,10 @@ import numpy as np
 import pytest
 from numba.core import types
 
-from sppm_pipeline.engine.cli.kernels import (
-    CompileAhead,
-    Kernel,
-    Waiting,
-    _why,
-    compiling_ahead,
-    in_order,
-    kernels_of,
-    listed_kernels,
-    missing,
-    stages_of,
-)
+from sppm_pipeline.engine.cli.kernels import CompileAhead, Waiting, _why, compiling_ahead, in_order
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.cli.progress import ProgressLines
+from sppm_pipeline.engine.plan.kernels import Kernel, kernels_of, listed_kernels, missing, stages_of
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.method.sampling.cell_list import CellList
 from sppm_pipeline.services.jit import kernel_cache
@@ -160,7 +150,7 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
 
 def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     one = [k for k in listed_kernels() if k.place.endswith("encoding:_largest_bits")]
-    monkeypatch.setattr("sppm_pipeline.engine.cli.kernels.listed_kernels", lambda: one)
+    monkeypatch.setattr("sppm_pipeline.engine.plan.kernels.listed_kernels", lambda: one)
     monkeypatch.setattr("sppm_pipeline.services.jit.machine_code.hindrance", lambda: "")
     main(["doctor"])
     assert "empty; 1 of 1 that are common are not, which `sppm doctor --kernels` compiles" in capsys.readouterr().out
@@ -196,7 +186,7 @@ def test_what_children_could_not_compile_is_told_to_those_who_want_to_know(cell_
 def cell_plan(monkeypatch):
     """A plan of which much is on the list, and nothing kept."""
     monkeypatch.delenv("SPPM_COMPILE_AHEAD")
-    monkeypatch.setattr("sppm_pipeline.engine.cli.kernels.is_kept", lambda place, count: False)
+    monkeypatch.setattr("sppm_pipeline.engine.plan.kernels.is_kept", lambda place, count: False)
     return open_session(RunRequest(str(CONFIGS / "cell.yaml"), distributions=False)).plan()
 
 
@@ -232,7 +222,7 @@ def test_stages_wait_for_what_is_compiled_ahead_and_nobody_else_does(cell_plan, 
 
 
 def test_nothing_is_compiled_ahead_that_nobody_would_find(monkeypatch):
-    monkeypatch.setattr("sppm_pipeline.engine.cli.kernels.kernel_cache_lasts", lambda: False)
+    monkeypatch.setattr("sppm_pipeline.engine.plan.kernels.kernel_cache_lasts", lambda: False)
     assert missing(listed_kernels()) == []
 
 

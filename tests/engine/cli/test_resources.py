@@ -160,9 +160,9 @@ def test_a_full_disk_of_the_cache(here, small_disk, monkeypatch):
     assert done.returncode == 0, done.stderr
     assert "part.stl" in left(here / "out")
     from sppm_pipeline.engine.cache.store import Store
-    from sppm_pipeline.engine.plan.rates import learn_speed
+    from sppm_pipeline.engine.plan.rates import Seen, remember
 
-    learn_speed(Store(small_disk / "cache"), {"write.mesh": (2.0, 1.0)})  # which is not worth an error
+    remember(Store(small_disk / "cache"), [("write.mesh", Seen(2.0, 1.0, 1e8, 1e8))])  # which is not worth an error
     assert not (small_disk / "cache").exists() or not any((small_disk / "cache").glob("*.json"))
 
 
@@ -280,8 +280,8 @@ def test_errors_of_the_system_in_a_stage(tmp_path, monkeypatch, capsys, number):
 def test_too_little_address_space(here):
     """Memory that is refused while a stage works, where nothing was estimated."""
     code = (
-        "import resource, sys; from sppm_pipeline.engine.plan import session\n"
-        "session.refuse_unfit = lambda *a, **k: None\n"
+        "import resource, sys; from sppm_pipeline.engine.plan import checking\n"
+        "checking.unfit_problems = lambda *a, **k: []\n"
         "import sppm_pipeline.method.stages.extract_voxels, sppm_pipeline.method.stages.field_gaussian, numba\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))\n"
         "from sppm_pipeline.engine.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"

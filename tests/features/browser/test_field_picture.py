@@ -8,11 +8,12 @@ import pytest
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.browser.live.pictures import scene_of
 from sppm_pipeline.features.browser.stages.write_picture import WritePicture
-from sppm_pipeline.method.connectivity.islands import grown, keep_largest
+from sppm_pipeline.method.connectivity.islands import keep_largest
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
+from sppm_pipeline.method.tiling.lattice import dilated
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.camera import Camera
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -87,8 +88,8 @@ def test_no_pixel_is_solid_where_the_layers_are_void(wang_tiling, ball):
         return flat[np.where(there, row, 0), np.where(there, column, 0)] & there
 
     assert (shown > 0.5).mean() > 0.3
-    assert not ((shown > 0) & ~seen_from_above(grown(solid.view(bool)))).any()  # within a voxel
-    thick = ~grown(~np.pad(solid.view(bool), 1))[1:-1, 1:-1, 1:-1]
+    assert not ((shown > 0) & ~seen_from_above(dilated(solid.view(bool)))).any()  # within a voxel
+    thick = ~dilated(~np.pad(solid.view(bool), 1))[1:-1, 1:-1, 1:-1]
     assert seen_from_above(thick).mean() > 0.1
     assert shown[seen_from_above(thick)].min() == 1.0
 

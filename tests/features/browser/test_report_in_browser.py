@@ -21,7 +21,6 @@ from sppm_pipeline.features.browser.report.records import read_record
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.numerics import Grid, cell_centers
 from sppm_pipeline.services.elastic.directional import sphere_mesh
-from sppm_pipeline.services.grid import Grid, cell_centers
 
 pytestmark = pytest.mark.browser
 

@@ -54,7 +54,7 @@ def pieces(rough: bool = False) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def given(file: PieceFile, made: list[tuple[np.ndarray, np.ndarray]], more: int = 0) -> tuple[bool, SurfaceMesh]:
-    """Give a file all pieces of a mesh, of which so many more vertices are foreseen; whether it has taken them."""
+    """Give a file all pieces of a mesh, of which so many more vertices are predicted; whether it has taken them."""
     window = PieceWindow(SCALE, ORIGIN)
     vertices = np.concatenate([v for v, _ in made]) * SCALE + ORIGIN
     faces = np.concatenate([f for _, f in made])
@@ -100,7 +100,7 @@ def test_a_file_of_pieces_is_that_of_the_whole(tmp_path, kind, threads, rough):
 
 
 @pytest.mark.parametrize("kind", IN_PIECES)
-def test_what_is_not_as_foreseen_leaves_nothing(tmp_path, kind):
+def test_what_is_not_as_predicted_leaves_nothing(tmp_path, kind):
     file = PieceFile(tmp_path, importlib.import_module(ENCODERS[kind]).in_pieces, 2)
     taken, _ = given(file, pieces(), more=1)
     assert not taken
@@ -139,19 +139,19 @@ def test_pieces_are_looked_at(tmp_path, wrong):
 
 @pytest.mark.parametrize("caps", [True, False])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_what_is_foreseen_comes(free_tiling, caps, threads):
+def test_what_is_predicted_comes(free_tiling, caps, threads):
     stream = FieldSurface(free_tiling, node_grid(free_tiling, 15), "remove", caps).stream(threads)
-    foreseen = stream.foreseen()
+    predicted = stream.predicted()
     made = [(piece.vertices.copy(), len(piece.faces)) for piece in stream]
     vertices = np.concatenate([some for some, _ in made])
-    assert (foreseen.vertices, foreseen.faces) == (len(vertices), sum(faces for _, faces in made))
+    assert (predicted.vertices, predicted.faces) == (len(vertices), sum(faces for _, faces in made))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    assert (foreseen.most[0] <= low).all()
-    assert (low <= foreseen.least[0]).all()
-    assert (foreseen.least[1] <= high).all()
-    assert (high <= foreseen.most[1]).all()
+    assert (predicted.most[0] <= low).all()
+    assert (low <= predicted.least[0]).all()
+    assert (predicted.least[1] <= high).all()
+    assert (high <= predicted.most[1]).all()
     if caps:
-        assert np.array_equal(foreseen.least, foreseen.most)
+        assert np.array_equal(predicted.least, predicted.most)
 
 
 def files(folder):
@@ -174,11 +174,11 @@ def test_a_run_writes_the_same_whether_the_mesh_is_kept_or_not(run_yaml, monkeyp
     ]
 
 
-def test_what_is_not_as_foreseen_is_made_again(run_yaml, monkeypatch):
+def test_what_is_not_as_predicted_is_made_again(run_yaml, monkeypatch):
     _, folder = run_yaml(YAML + WRITERS[0])
-    wrong = FieldSurface._foreseen
+    wrong = FieldSurface._predicted
     monkeypatch.setattr(
-        FieldSurface, "_foreseen", lambda self, vertices, faces, *box: wrong(self, vertices, faces + 1, *box)
+        FieldSurface, "_predicted", lambda self, vertices, faces, *box: wrong(self, vertices, faces + 1, *box)
     )
     _, other = run_yaml(YAML + WRITERS[0], to="other")
     assert files(folder) == files(other)

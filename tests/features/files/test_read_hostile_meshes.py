@@ -14,7 +14,7 @@ import pytest
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.files.formats.detect import FORMATS
-from sppm_pipeline.features.files.stages.read_mesh import FARTHEST, LARGEST_FILE, ReadMesh
+from sppm_pipeline.features.files.stages.read_mesh import MAX_COORDINATE, MAX_FILE_BYTES, ReadMesh
 from sppm_pipeline.testing.plain_context import PlainContext
 
 HANGS = 20.0
@@ -42,7 +42,7 @@ BAD = {
     "nearly_flat.obj": (obj_of(CORNERS * [1, 1, 1e-12]), "flat"),
     "point.obj": (obj_of(CORNERS * 0 + 7), "as small as a point"),
     "denormal.obj": (obj_of(CORNERS * 1e-310), "as small as a point"),
-    "galaxy.obj": (obj_of(CORNERS * 1e30), f"reaches to 1e\\+30 mm; at most {FARTHEST:g}".replace("+09", r"\+09")),
+    "galaxy.obj": (obj_of(CORNERS * 1e30), f"reaches to 1e.30 mm; at most {MAX_COORDINATE:g}".replace("+", ".")),
     "overflow.obj": (obj_of(CORNERS * 1e307), "make sense"),
     "largest.obj": (obj_of(CORNERS * 1.7e308 - 0.9e308), "make sense"),
     "doubled.obj": (
@@ -93,7 +93,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
 
 def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
     with (tmp_path / "huge.stl").open("wb") as file:
-        file.truncate(LARGEST_FILE + 1)  # a hole, which takes no room on the disk
+        file.truncate(MAX_FILE_BYTES + 1)  # a hole, which takes no room on the disk
     refused(tmp_path / "huge.stl", "the limit is")
 
 

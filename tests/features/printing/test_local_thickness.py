@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from sppm_pipeline.features.printing.numerics.local_thickness import (
-    FAR,
+    UNREACHED,
     local_thickness,
     size_distribution,
     squared_distance,
@@ -34,7 +34,7 @@ def test_distances_are_those_of_scipy_on_repeated_copies(seed, share, wraps):
 
 
 def test_nothing_outside_is_far():
-    assert (squared_distance(np.ones((2, 3, 4), np.uint8)) == FAR).all()
+    assert (squared_distance(np.ones((2, 3, 4), np.uint8)) == UNREACHED).all()
     assert (local_thickness(np.ones((2, 3, 4), np.uint8)) == 2).all()
     assert not local_thickness(np.zeros((2, 3, 4), np.uint8)).any()
 

@@ -202,7 +202,7 @@ def test_nothing_and_everything():
 
 
 def test_of_many_events_the_largest_are_listed(monkeypatch):
-    monkeypatch.setattr(tracker, "LISTED", 3)
+    monkeypatch.setattr(tracker, "MAX_LISTED", 3)
     solid = np.zeros((20, 3, 12), bool)
     solid[0, 0, 0] = True
     for i in range(8):

@@ -57,6 +57,19 @@ def test_volume_is_that_of_the_implicit_way(wang_tiling, which, skin):
     assert off[1] < 0.01
 
 
+def test_shells_of_the_part_that_overlap_are_united(wang_tiling):
+    (v, f), (w, g) = box_mesh((6.0, 6.0, 6.0), (7.0, 7.0, 7.0)), box_mesh((9.0, 6.5, 6.2), (6.0, 6.0, 6.0))
+    hollow, inner = ball_mesh((4.5, 6.0, 6.0), 1.5, 2)
+    vertices = np.concatenate([v, w, hollow])
+    domain = SurfaceMesh(vertices, np.concatenate([f, g + len(v), inner[:, ::-1] + len(v) + len(w)]), "two boxes")
+    made, found = fill(wang_tiling, domain, islands="keep", resolution=20)
+    part = Part(wang_tiling, domain, 0.0, "keep")
+    n = 80
+    voxels = int(part.solid(cell_centers(n, wang_tiling.cells)).sum()) * (4 / n) ** 3
+    assert found["domain_volume_mm3"] == pytest.approx(domain.outer_surface.volume, rel=1e-6)
+    assert volume(made.vertices, made.faces) == pytest.approx(voxels, rel=0.03)
+
+
 def test_the_surface_of_the_part_is_kept_with_its_edges(wang_tiling):
     domain = domains()["box"]
     made, _ = fill(wang_tiling, domain, skin=Length(0.5, "mm"))

@@ -13,7 +13,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
-from sppm_pipeline.services.grid import cell_nodes
+from sppm_pipeline.services.grid import Grid, cell_nodes
 from sppm_pipeline.services.mesh.box_tree import box_tree
 from sppm_pipeline.services.mesh.measures import edge_counts, measure_surface, volume
 
@@ -169,3 +169,34 @@ def test_nothing_crosses_in_noise():
         vertices, faces, _ = mesh(noise, placed("turned"), 5, skin)
         assert len(faces) > 10_000
         assert self_intersections(box_tree(vertices[faces])).pairs == 0
+
+
+def shells(*several):
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in several)])
+    faces = [faces + offset for (_, faces), offset in zip(several, offsets, strict=False)]
+    return np.concatenate([vertices for vertices, _ in several]), np.concatenate(faces).astype(np.int32)
+
+
+OVERLAPPING = {
+    "cubes in one plane": shells(box_mesh((4, 5, 5), (4, 4, 4)), box_mesh((6, 6, 5), (4, 4, 4))),
+    "cubes": shells(box_mesh((4, 4, 4), (4, 4, 4)), box_mesh((6.1, 5.3, 4.7), (4, 4, 4))),
+    "cubes face to face": shells(box_mesh((3, 5, 5), (4, 4, 4)), box_mesh((7, 5, 5), (4, 4, 4))),
+    "balls": shells(ball_mesh((4, 5, 5), 2.2, 4), ball_mesh((6, 5.2, 5.1), 2.2, 4)),
+    "one within the other": shells(ball_mesh((5, 5, 5), 3.0, 4), ball_mesh((5, 5, 5.5), 1.7, 3)),
+    "twice the same": shells(ball_mesh((5, 5, 5), 3.0, 4), ball_mesh((5, 5, 5), 3.0, 4)),
+}
+SHEETS = Formula(lambda x, y, z: np.sin(2.1 * x) + np.sin(1.9 * y) + np.sin(2.3 * z) - 1.2)
+
+
+@pytest.mark.parametrize("how", OVERLAPPING)
+@pytest.mark.parametrize("skin", [0.0, 0.4])
+def test_the_mesh_of_overlapping_shells_is_as_large_as_their_layers(how, skin):
+    """Triangles within another shell once cut the field, and islands took what was cut off: half, of cubes."""
+    part = Part(SHEETS, SurfaceMesh(*OVERLAPPING[how]), skin, "remove")
+    vertices, faces, findings = FieldSurface(part, node_grid(part, 10)).mesh()
+    h, n = 1 / 20, 200  # faces of the cubes lie between voxels
+    solid = part.solid_zyx(Grid((h / 2,) * 3, (h,) * 3, (n, n, n)), 0, n)
+    assert edge_counts(faces).bounds_solid
+    assert findings["removed_share"] < 2e-3
+    # the skin of layers is as thick as whole voxels allow
+    assert volume(vertices, faces) == pytest.approx(solid.sum() * h**3, rel=2e-2 if skin else 5e-3)

@@ -91,7 +91,12 @@ def test_tunnels_pierce_walls():
 def test_lengths_in_all_units():
     plain, _ = made(lattice(), thickness=Length(0.06), tunnel_radius=Length(0.07), rounding=Length(0.03))
     expected = plain.sample(cell_centers(12))
-    for cell, unit, scale in ((Cell(2.0), None, 2), (Cell(7.5, True), "mm", 7.5), (Cell(7.5, True), "um", 7500)):
+    for cell, unit, scale in (
+        (Cell(2.0), "cell", 1),
+        (Cell(7.5, True), None, 1),
+        (Cell(7.5, True), "mm", 7.5),
+        (Cell(7.5, True), "um", 7500),
+    ):
         sizes = {"thickness": 0.06, "tunnel_radius": 0.07, "rounding": 0.03}
         field, _ = made(lattice(cell), **{name: Length(scale * size, unit) for name, size in sizes.items()})
         np.testing.assert_allclose(field.sample(cell_centers(12)), expected, atol=1e-6)

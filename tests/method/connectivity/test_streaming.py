@@ -141,8 +141,8 @@ def test_the_order_of_calls_is_checked():
 @pytest.mark.parametrize("room", [0, 7, 60, 10_000])
 @pytest.mark.parametrize("look", [0, 20, 10_000])
 def test_loose_runs_that_are_written_down_change_nothing(monkeypatch, room, look):
-    monkeypatch.setattr(streaming, "_REMEMBERED", room)
-    monkeypatch.setattr(streaming, "_LOOKED_THROUGH", look)
+    monkeypatch.setattr(streaming, "_MAX_STORED", room)
+    monkeypatch.setattr(streaming, "_PRUNED_FROM", look)
     mask = np.random.default_rng(4).random((9, 6, 7)) < 0.3
     assert 60 < len(find_runs(mask).bounds) // 2 < 10_000
     for connectivity in (6, 26):
@@ -151,7 +151,7 @@ def test_loose_runs_that_are_written_down_change_nothing(monkeypatch, room, look
 
 
 def test_what_is_loose_below_the_largest_may_be_too_much_to_write_down(monkeypatch):
-    monkeypatch.setattr(streaming, "_REMEMBERED", 100)
+    monkeypatch.setattr(streaming, "_MAX_STORED", 100)
     mask = np.random.default_rng(1).random((12, 60, 60)) < 0.12
     mask[8:, 10:50, 10:50] = True  # numbered after thousands of others
     cleared, _ = both_passes(mask.astype(np.uint8), [5], 6, "largest")
@@ -184,7 +184,7 @@ def test_what_grows_largest_last_is_kept_though_it_was_loose():
 
 
 def test_loose_runs_of_a_column_are_dropped_once_it_has_joined(monkeypatch):
-    monkeypatch.setattr(streaming, "_LOOKED_THROUGH", 50)
+    monkeypatch.setattr(streaming, "_PRUNED_FROM", 50)
     mask = np.zeros((60, 5, 80), np.uint8)
     mask[:, 1, ::4] = 1
     mask[20, 1] = 1

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from sppm_pipeline.method.connecting.trees import canonical_edges, component_labels, edge_lengths
 from sppm_pipeline.method.families.cloud import Piece
 from sppm_pipeline.method.families.connector import Connector
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.plain_context import PlainContext
 
 TORUS = (True, True, True)
@@ -87,7 +88,7 @@ def test_one_piece_is_joined_at_once(random_cloud):
     torus = random_cloud((2, 2, 2), 60, TORUS)
     edges, shifts = Chain().join_cloud(PlainContext(1), torus)
     assert asked[1].periodic
-    assert asked[1].cell.edge == 2
+    assert asked[1].cell.fraction(Length(0.1)) == 0.05  # of the whole cube
     assert np.array_equal(asked[1].points, torus.points / 2)
     assert (shifts == [0, 2, 0]).all()
 

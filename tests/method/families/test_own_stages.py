@@ -71,7 +71,7 @@ def test_what_a_sampler_is_told():
     assert (lone.lower.tolist(), lone.upper.tolist()) == ([0] * 3, [1] * 3)
     assert (len(lone.obstacles), lone.face_pores, lone.spacing) == (0, 0, None)
     seen.clear()
-    faces = MirroredFaces(count=9, spacing=Length(0.4), edge=Length(2), faces_margin="paper").run(context, None)
+    faces = MirroredFaces(count=9, spacing=Length(0.2, "cell"), edge=Length(2), faces_margin="paper").run(context, None)
     twice = Uniform(count=3).run(context, Uniform(count=2).run(context, faces))
     for box in seen:
         assert not box.periodic

@@ -19,7 +19,7 @@ from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.method.families.layer_writer import LayerWriter
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing import sampled_slices, slab_passes
-from sppm_pipeline.method.slicing.slab_passes import cleared_slab, slab_tasks, survey_slab
+from sppm_pipeline.method.slicing.slab_passes import cleared_slab, label_slab, slab_tasks
 from sppm_pipeline.method.slicing.slice_stack import ArraySlices
 from sppm_pipeline.method.stages.slice_field import SliceField
 from sppm_pipeline.method.stages.slice_mesh import SliceMesh
@@ -123,11 +123,11 @@ def test_the_next_reader_needs_no_first_pass(wang_tiling, ball, small_slabs, mon
     here, told, _ = written(stack)  # by this process, from theirs
     assert (here, told) == (files, numbers)
     assert not evaluated
-    for task in stack.survey.tasks:
+    for task in stack.island_pass.tasks:
         os.unlink(task.file)
     here, told, _ = written(stack)  # the folder is gone: evaluated again
     assert (here, told) == (files, numbers)
-    assert len(evaluated) == len(stack.survey.tasks)
+    assert len(evaluated) == len(stack.island_pass.tasks)
 
 
 def test_what_one_process_has_kept_is_not_evaluated_by_workers(wang_tiling, ball):
@@ -164,9 +164,9 @@ def test_slabs_cover_the_stack_and_begin_where_it_would_begin_one(wang_tiling, m
         assert tasks[-1].stop == stack.samples.shape[2]
         assert all(task.start % stack.height == 0 for task in tasks)
     assert len(slab_tasks(stack, 2, 1, 1)) == 2 * stack.shape[2] // 4  # as low as can be
-    assert slab_passes.HELD == crew.AHEAD
+    assert slab_passes.RESULTS_PER_WORKER == crew.AHEAD
     nx, ny, _ = stack.shape
-    tasks = slab_tasks(stack, 1, 1, slab_passes.RESULTS * slab_passes.HELD * nx * ny * 5)
+    tasks = slab_tasks(stack, 1, 1, slab_passes.MEMORY_PER_RESULT * slab_passes.RESULTS_PER_WORKER * nx * ny * 5)
     assert max(task.stop - task.start for task in tasks) == 8  # 5 layers, in whole slabs of the stack
 
 
@@ -193,7 +193,7 @@ def test_without_sound_bits_slabs_are_evaluated_again(wang_tiling, ball, small_s
     assert all((task.file is None) == (how == "no room") for task in tasks)
     if how == "no folder":
         shutil.rmtree(tmp_path)
-    survey = slab_passes.surveyed(stack, tasks, lambda tasks: (survey_slab((stack, None), t) for t in tasks), print)
+    survey = slab_passes.find_islands(stack, tasks, lambda tasks: (label_slab((stack, None), t) for t in tasks), print)
     there = sorted(tmp_path.glob("*")) if tmp_path.exists() else []
     assert len(there) == (len(tasks) if how == "damaged" else 0)  # nothing half written is left
     for file in there[::2]:
@@ -235,7 +235,7 @@ pipeline:
   - {{stage: connect.mst}}
   - {{stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.04}}
   - {{stage: tile.periodic, cells: [2, 2, 2], cell: 2 mm}}
-  - {{stage: slice.field, pixel: 0.1 mm}}
+  - {{stage: slice.field, pixel: 0.1 mm, islands: remove}}
   - {{stage: write.once, mark: '{mark}'}}
 """
 

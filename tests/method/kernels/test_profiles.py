@@ -13,8 +13,6 @@ from sppm_pipeline.method.kernels.profiles import (
     TunnelProfile,
     check_cutoff,
     omega_from_radius,
-    omega_in_cell_units,
-    pore_radius,
 )
 from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
@@ -27,21 +25,18 @@ levels = st.floats(0.01, 0.99)
 
 def test_paper_values() -> None:
     # omega = mu = 30, C = 0.25: radii in the unit of the paper.
-    assert pore_radius(30.0, 0.25) == pytest.approx(0.21496, abs=1e-5)
+    assert SQUARED.radius(30.0, 0.25) == pytest.approx(0.21496, abs=1e-5)
     assert LINEAR.radius(30.0, 0.25) == pytest.approx(0.046210, abs=1e-6)
-    assert SQUARED.radius(30.0, 0.25) == pytest.approx(pore_radius(30.0, 0.25))
 
 
 @given(radii, levels, profiles)
 def test_there_and_back(radius: float, level: float, profile: TunnelProfile) -> None:
-    assert pore_radius(omega_from_radius(radius, level), level) == pytest.approx(radius)
+    assert SQUARED.radius(omega_from_radius(radius, level), level) == pytest.approx(radius)
     assert profile.radius(profile.mu(radius, level), level) == pytest.approx(radius)
 
 
 @given(radii, levels, profiles, st.floats(0.1, 100.0))
 def test_cell_units_scale_lengths(radius: float, level: float, profile: TunnelProfile, edge: float) -> None:
-    omega = omega_in_cell_units(omega_from_radius(radius, level), edge)
-    assert pore_radius(omega, level) * edge == pytest.approx(radius)
     mu = profile.in_cell_units(profile.mu(radius, level), edge)
     assert profile.radius(mu, level) * edge == pytest.approx(radius)
 
@@ -73,9 +68,8 @@ def test_bad_lengths_and_parameters(value: float) -> None:
     for call in (
         lambda: omega_from_radius(value, 0.25),
         lambda: LINEAR.mu(value, 0.25),
-        lambda: pore_radius(value, 0.25),
         lambda: LINEAR.radius(value, 0.25),
-        lambda: omega_in_cell_units(30.0, value),
+        lambda: LINEAR.in_cell_units(30.0, value),
         lambda: LINEAR.in_cell_units(value, 2.0),
     ):
         with pytest.raises(DesignError, match="positive, finite"):

@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling import edges
 from sppm_pipeline.method.sampling.edges import (
-    WIDEST,
+    MAX_GAP,
     chosen_sites,
     edge_sites,
     homogeneous_counts,
@@ -31,7 +31,7 @@ def test_sites_are_neither_too_near_nor_too_far(spacing):
         assert len(sites) == intervals(spacing)
         assert gaps.min() >= spacing - 1e-12
         if spacing <= 0.5:  # beyond, only the corner has room
-            assert gaps.max() <= WIDEST * spacing + 1e-9
+            assert gaps.max() <= MAX_GAP * spacing + 1e-9
 
 
 def test_pairs_of_intervals_are_drawn_as_whole_divisions_are(monkeypatch):

@@ -1,6 +1,7 @@
 """Connectivity, porosity and residual periodicity."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from sppm_pipeline.engine.plan.inputs import declared_numbers
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connectivity.islands import keep_largest
-from sppm_pipeline.method.fields.wrapped import CleanedField
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.wrapped import CleanedField, RepeatedField
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
 from sppm_pipeline.method.stages.check_porosity import CheckPorosity
 from sppm_pipeline.method.stages.check_residual_periodicity import CheckResidualPeriodicity
@@ -24,6 +26,19 @@ from sppm_pipeline.testing.plain_context import PlainContext
 def loose(recipe):
     """A cell with islands: so much void that the solid falls apart."""
     return recipe().run(PlainContext(5)).with_level(0.02)
+
+
+@dataclass(frozen=True, eq=False)
+class Ball(ScalarField):
+    """A solid ball in the middle of a periodic cell."""
+
+    cells: ClassVar = (1, 1, 1)
+    periodic: ClassVar = True
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
+        x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
+        return (np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2) - 0.3).astype(np.float32)
 
 
 def floating_share(field, n):
@@ -50,7 +65,7 @@ def test_components_are_those_of_scipy_where_nothing_wraps(wang_tiling):
 
 def test_islands_are_gone_on_every_grid_and_the_cell_stays_periodic(loose):
     context = PlainContext()
-    clean = CheckConnectivity(resolution=32).run(context, loose)
+    clean = CheckConnectivity(resolution=32, islands="remove").run(context, loose)
     assert isinstance(clean, CleanedField)
     assert context.reported["solid_components"] > 1
     assert floating_share(clean, 32) == 0
@@ -63,7 +78,7 @@ def test_islands_are_gone_on_every_grid_and_the_cell_stays_periodic(loose):
 
 
 def test_what_is_kept_is_left_as_it_was(loose):
-    clean = CheckConnectivity(resolution=32).run(PlainContext(), loose)
+    clean = CheckConnectivity(resolution=32, islands="remove").run(PlainContext(), loose)
     grid = cell_centers(32)
     before, after = loose.sample(grid), clean.sample(grid)
     kept = keep_largest((before < 0).view(np.uint8), (True,) * 3).view(bool)
@@ -77,6 +92,23 @@ def test_what_is_kept_is_left_as_it_was(loose):
 def test_no_islands_no_change(cell):
     dense = cell.with_level(0.9)
     assert CheckConnectivity(resolution=16).run(PlainContext(), dense) is dense
+
+
+def test_much_solid_is_removed_only_if_asked_for(loose):
+    """By default removal of 10 % of the solid rejects the cell, in words that say what the porosity would become."""
+    apart = RepeatedField(Ball(), (2, 1, 1), None)
+    context = PlainContext()
+    with pytest.raises(Rejected, match=r"50\.00% of the solid is disconnected"):
+        CheckConnectivity(resolution=16).run(context, apart)
+    context = PlainContext()
+    clean = CheckConnectivity(resolution=32).run(context, loose)
+    share = context.reported["solid_removed_share"]
+    assert 0.01 < share < 0.1
+    before, after = (context.reported[name] for name in ("porosity", "porosity_without_islands"))
+    assert after - before == pytest.approx(share * (1 - before))
+    assert after == pytest.approx(1 - clean.solid(cell_centers(32)).mean())
+    assert f"{share:.2%}" in context.warnings[0]
+    assert f"{after:.4f}" in context.warnings[0]
 
 
 def test_keep_only_reports(loose):

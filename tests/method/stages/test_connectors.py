@@ -160,7 +160,7 @@ def test_the_former_name_of_a_mode_makes_the_same_graph_and_warns(torus):
 
 
 def test_another_mode_is_told(monkeypatch):
-    monkeypatch.setattr("sppm_pipeline.method.stages.connect_mbdst.MOST", 11)
+    monkeypatch.setattr("sppm_pipeline.method.stages.connect_mbdst.MAX_EXACT", 11)
     pores = PoreSet.from_array(np.random.default_rng(3).random((12, 3)))
     context = PlainContext(1)
     made = BoundedDegreeSubgraph(mode="exact").run(context, pores)

@@ -1,14 +1,19 @@
 """Sizes: radii and parameters say the same, in cell sizes, in the paper's cell, and in mm."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sppm_pipeline.engine.config.options import options_of, parse_typed, plain_option
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.fill_implicit import ImplicitFill
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tile_scattered import ScatteredTiling
 from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -55,11 +60,22 @@ def test_the_same_cell_in_all_units(tunnel):
 
     power = 2 if tunnel == "squared" else 1
     assert same(Cell(), omega=told["omega"], mu=told["mu"])
-    assert same(Cell(2.0), pore_radius=Length(0.2), tunnel_radius=Length(0.08))
+    assert same(Cell(2.0), pore_radius=Length(0.1, "cell"), tunnel_radius=Length(0.04, "cell"))
     assert same(Cell(2.0), omega=told["omega"] / 4, mu=told["mu"] / 2**power)
     assert same(Cell(7.5, True), pore_radius=Length(0.75, "mm"), tunnel_radius=Length(300, "um"))
-    assert same(Cell(7.5, True), pore_radius=Length(0.75), tunnel_radius=Length(0.3))
-    assert same(Cell(7.5, True), omega=told["omega"] / 7.5**2, mu=told["mu"] / 7.5**power)
+    assert same(Cell(7.5, True), **RADII)
+    assert told.keys() == {"pore_radius", "tunnel_radius", "omega", "mu"}
+    _, told = field(Cell(7.5, True), **RADII, tunnel=tunnel)
+    assert (told["pore_radius_mm"], told["tunnel_radius_mm"]) == (pytest.approx(0.75), pytest.approx(0.3))
+
+
+def test_parameters_without_a_unit_in_a_cell_with_one():
+    for name, other, radius in (("omega", "mu", "pore_radius: 0.215"), ("mu", "omega", "tunnel_radius: 0.04621")):
+        rest = {"tunnel_radius" if other == "mu" else "pore_radius": Length(0.1)}
+        with pytest.raises(ConfigError, match=f"`{name}: 30` has no unit") as caught:
+            field(Cell(7.5, True), **{name: 30.0}, **rest)
+        assert f"`{radius} mm`" in caught.value.hint
+        assert f"`{radius} cell`" in caught.value.hint
 
 
 def test_the_paper_s_parameters_in_its_cell():
@@ -113,6 +129,15 @@ def test_spreads_vary_sizes_about_the_median():
 def test_one_size_for_each(options):
     with pytest.raises(ConfigError, match="one of"):
         GaussianField(**options).check_options()
+
+
+def test_lengths_of_a_cell_may_be_written_in_cell_sizes_and_others_may_not():
+    radius = options_of(GaussianField)["pore_radius"]
+    assert parse_typed(radius, "0.11 cell", Path()) == Length(0.11, "cell")
+    assert plain_option(Length(0.11, "cell")) == "0.11 cell"
+    for stage, name in ((ScatteredTiling, "cell"), (MirroredFaces, "edge"), (ImplicitFill, "skin")):
+        with pytest.raises(ValueError, match="only lengths of a cell can be given in cell sizes"):
+            parse_typed(options_of(stage)[name], "0.11 cell", Path())
 
 
 def test_mm_without_a_size():

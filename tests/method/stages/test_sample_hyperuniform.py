@@ -50,20 +50,41 @@ def test_without_a_spacing_that_of_half_packing_is_kept() -> None:
     assert box_capacity((1, 1, 1), pores.spacing, periodic=True) == pytest.approx(80, rel=1e-6)
 
 
-def test_scattered_each_block_is_silent_and_the_spacing_is_kept_across_blocks() -> None:
-    blocks = Blocks(np.ones((2, 3, 2), np.bool_), True)
-    context = PlainContext(1, palette=Palette(12, (0, 0, 0), blocks=blocks))
+@pytest.mark.parametrize("periodic", [True, False])
+def test_scattered_pores_are_evened_out_across_blocks_and_keep_the_spacing(periodic: bool) -> None:
+    blocks = Blocks(np.ones((4, 3, 3), np.bool_), periodic)
+    context = PlainContext(1, palette=Palette(36, (0, 0, 0), blocks=blocks))
     faces = MirroredFaces(total=40, share=0.5).run(context, None)
     pores = Hyperuniform(total=40).run(context, faces)
-    waves = stealthy_waves(40, PERIODIC)
-    for t in range(12):
-        inside = pores.of_piece(t)
-        assert len(inside) == 40
-        assert 0 <= inside.min() <= inside.max() <= 1
-        assert structure_factor(inside, waves).max() <= 1e-10
-    everywhere = pores.centers + blocks.sites[pores.piece]
-    distances, _ = cKDTree(everywhere % [2, 3, 2], boxsize=[2, 3, 2]).query(everywhere % [2, 3, 2], k=2)
+    pores.check()
+    assert len(pores.centers) == 36 * 40
+    assert np.ptp(np.bincount(pores.piece)) > 0  # blocks exchange pores, but only a few
+    assert np.bincount(pores.piece).std() < 0.5 * np.sqrt(40)
+    period = [4, 3, 3] if periodic else None
+    distances, _ = cKDTree(points := pores.centers + blocks.sites[pores.piece], boxsize=period).query(points, k=2)
     assert distances[:, 1].min() >= pores.spacing
+    if periodic:
+        assert 0 < context.reported["mean_structure_factor"] < 0.1
+
+
+def test_scattered_pores_thrown_before_stay() -> None:
+    blocks = Blocks(np.ones((3, 2, 2), np.bool_), True)
+    context = PlainContext(1, palette=Palette(12, (0, 0, 0), blocks=blocks))
+    first = MirroredFaces(count=6, spacing=Length(0.2)).run(context, None)
+    pores = Hyperuniform(count=30).run(context, first)
+    assert len(pores.centers) == 12 * 36
+    for t in range(12):
+        own = pores.of_piece(t)
+        assert all((np.abs(own - center).max(1) < 1e-12).any() for center in first.of_piece(t))
+
+
+def test_blocks_whose_density_follows_a_map_are_silenced_one_by_one() -> None:
+    blocks = Blocks(np.ones((2, 2, 2), np.bool_), False, density=np.ones((9, 9, 9)))
+    context = PlainContext(1, palette=Palette(8, (0, 0, 0), blocks=blocks))
+    pores = Hyperuniform(total=40).run(context, None)
+    waves = stealthy_waves(40, PERIODIC)
+    for t in range(8):
+        assert structure_factor(pores.of_piece(t), waves).max() <= 1e-10
     assert context.reported["largest_structure_factor"] <= 1e-10
 
 

@@ -1,16 +1,20 @@
 """Layers: where they are, what they show, and what is removed."""
 
 from collections import namedtuple
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.connectivity.islands import keep_largest
+from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing import sampled_slices, spool
 from sppm_pipeline.method.stages.fill_implicit import ImplicitFill
 from sppm_pipeline.method.stages.slice_field import SliceField
+from sppm_pipeline.method.stages.write_png import WritePng
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -71,7 +75,7 @@ def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
         (0, 0.0),
     ):  # some in memory, all on the disk, no room: evaluated twice
         monkeypatch.setattr(spool, "IN_MEMORY", memory)
-        monkeypatch.setattr(spool, "OF_THE_DISK", disk)
+        monkeypatch.setattr(spool, "MAX_DISK_SHARE", disk)
         again, found_again = layers_and_findings(slices(wang_tiling, resolution=10), threads=2)
         assert again.tobytes() == found.tobytes()
         assert found_again == findings
@@ -225,3 +229,41 @@ def test_a_size_is_needed(cell, ball):
         slices(cell, resolution=8)
     with pytest.raises(DesignError, match="physical size"):
         ImplicitFill().run(PlainContext(), cell, ball)
+
+
+@dataclass(frozen=True, eq=False)
+class Balls(ScalarField):
+    """A solid ball in each cell of 2 mm, 0.6 mm in radius, none of which touches another."""
+
+    cells: ClassVar = (6, 6, 6)
+    periodic: ClassVar = True
+    edge_mm: ClassVar = 2.0
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
+        x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
+        return (np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2) - 0.3).astype(np.float32)
+
+
+@pytest.mark.parametrize(("islands", "workers"), [("auto", 0), ("auto", 2), ("remove", 0), ("keep", 0)])
+def test_a_part_that_falls_apart_is_refused_before_a_file_is_there(ball, tmp_path, islands, workers):
+    """More than 10 % of the solid disconnected: no layer is written unless the user has asked for removal."""
+    part = ImplicitFill(islands=islands, skin=Length(0.5, MM)).run(PlainContext(), Balls(), ball)
+    context = PlainContext(directory=tmp_path, workers=workers)
+    stack = slices(part, pixel=Length(0.1, MM))
+    if islands == "auto":
+        with pytest.raises(DesignError, match=r"porosity 0\.\d+ with it, 0\.\d+ without"):
+            WritePng().run(context, stack)
+        assert not any(path.is_file() for path in tmp_path.rglob("*"))
+        return
+    WritePng().run(context, stack)
+    found, grid = context.reported, stack.samples
+    inside, whole = part.inside_zyx(grid, 0, grid.shape[2]), part.solid_zyx(grid, 0, grid.shape[2])
+    before, after = (1 - (solid > 0).sum() / inside.sum() for solid in (whole, stack.to_array()))
+    assert found["porosity"] == pytest.approx(after)
+    assert found["porosity_with_islands"] == pytest.approx(before)
+    assert (after > before + 0.02) == (islands == "remove")
+    # balls take 4.19 x 0.3^3 of what the skin leaves
+    assert found["infill_porosity_with_islands"] == pytest.approx(1 - 4.19 * 0.3**3, abs=0.05)
+    assert found["infill_porosity"] > found["porosity"]
+    assert len(context.warnings) == (islands == "remove")

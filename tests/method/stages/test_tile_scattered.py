@@ -33,6 +33,7 @@ from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeigh
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
 from sppm_pipeline.method.stages.sample_elimination import Elimination
+from sppm_pipeline.method.stages.sample_hyperuniform import Hyperuniform
 from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
 from sppm_pipeline.method.stages.tile_scattered import ScatteredTiling
 from sppm_pipeline.nouns.length import Length
@@ -259,16 +260,22 @@ def test_millions_of_tunnels_take_few_bytes_and_make_the_same_field(monkeypatch,
     assert narrow.level == wide.level
 
 
-def test_no_lattice_shows(recipe):
-    """The folded solid share, as `check.residual_periodicity` measures it, is flat but for noise."""
-    tiling = ScatteredTiling(cells=(5, 5, 5), periodic=True, porosity=0.6, resolution=16).run(
-        PlainContext(3), recipe(), None
+@pytest.mark.parametrize("sampler", [DartThrowing(total=68), Hyperuniform(total=68)])
+def test_no_lattice_shows(sampler):
+    """The folded solid share, as `check.residual_periodicity` measures it, is flat but for noise.
+
+    Hyperuniform pores that are silenced block by block have 0.35, 0.355, 0.34 and 0.265 at corner, edge, face, center.
+    """
+    faces, joined = MirroredFaces(total=68, share=0.5), BoundedDegreeSubgraph(degree=(3, 5), mode="greedy")
+    field = GaussianField(pore_radius=Length(0.11), tunnel_radius=Length(0.03))
+    tiling = ScatteredTiling(cells=(4, 4, 4), periodic=True, porosity=0.7, resolution=24).run(
+        PlainContext(3), recipe_of(faces, sampler, joined, field), None
     )
     context = PlainContext()
-    CheckResidualPeriodicity(resolution=12).run(context, tiling)
+    CheckResidualPeriodicity(resolution=16).run(context, tiling)
     told = context.reported
-    for place in ("corner", "edge", "face", "center"):
-        assert told[f"folded_{place}"] == pytest.approx(0.4, abs=0.12), place
+    for place, error in (("corner", 0.08), ("edge", 0.035), ("face", 0.02), ("center", 0.02)):
+        assert told[f"folded_{place}"] == pytest.approx(0.3, abs=error), place
     assert told["folded_deviation"] <= 1.3 * told["folded_expected"]
     assert abs(told["bragg_share"]) < 0.01
 

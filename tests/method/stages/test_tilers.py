@@ -9,9 +9,11 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.assembly.contents import check_tiling
 from sppm_pipeline.method.assembly.gather import sample_exact
 from sppm_pipeline.method.fields.wrapped import CleanedField, RepeatedField
+from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
 from sppm_pipeline.method.stages.check_residual_periodicity import CheckResidualPeriodicity
 from sppm_pipeline.method.stages.sample_elimination import Elimination
+from sppm_pipeline.method.stages.slice_field import SliceField
 from sppm_pipeline.method.stages.tile_corner_colors import CornerColorsTiling
 from sppm_pipeline.method.stages.tile_free_faces import FreeFacesTiling
 from sppm_pipeline.method.stages.tile_fresh import FreshTiling
@@ -46,7 +48,29 @@ def test_sets_have_the_porosity_wished_and_tell_that_of_every_tile(sets, kind):
     assert made.summary()["porosity"] == pytest.approx(0.5, abs=0.02)
     assert made.summary()["tile_porosity_min"] < 0.5 < made.summary()["tile_porosity_max"]
     tiling = RULES[kind](cells=(6, 6, 6)).run(PlainContext(9), made, None)
-    assert 1 - tiling.solid(cell_centers(12, tiling.cells)).mean() == pytest.approx(0.5, abs=0.025)
+    assert 1 - tiling.solid(cell_centers(12, tiling.cells)).mean() == pytest.approx(0.5, abs=0.005)
+
+
+@pytest.mark.parametrize("kind", [*RULES, "periodic"])
+def test_boxes_and_parts_have_the_porosity_of_the_set(sets, kind, ball):
+    """A small box holds some tiles more often than others, and a part only pieces of them."""
+    rule, tileset = RULES.get(kind, PeriodicTiling), sets.get(kind, sets["wang"])
+    box = rule(cells=(3, 3, 3)).run(PlainContext(2), tileset, None)
+    assert 1 - box.solid(cell_centers(67, box.cells)).mean() == pytest.approx(0.5, abs=1e-3)
+    other = rule(cells=(2, 2, 2), porosity=0.3).run(PlainContext(2), tileset, None)
+    assert 1 - other.solid(cell_centers(67, other.cells)).mean() == pytest.approx(0.3, abs=1e-3)
+    part = Part(rule(cell=Length(4, "mm")).run(PlainContext(2), tileset, ball), ball, islands="keep")
+    grid = SliceField(pixel=Length(0.09, "mm")).run(PlainContext(), part).samples
+    inside = part.inside_zyx(grid, 0, grid.shape[2])
+    assert 1 - part.solid_zyx(grid, 0, grid.shape[2]).sum() / inside.sum() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_repeated_field_has_no_porosity_of_its_own(recipe):
+    cleaned = CheckConnectivity(resolution=16, islands="remove").run(
+        PlainContext(), recipe().run(PlainContext(5)).with_level(0.02)
+    )
+    with pytest.raises(ConfigError, match="is that of its cell"):
+        PeriodicTiling(cells=(2, 2, 2), porosity=0.5).run(PlainContext(), cleaned, None)
 
 
 def test_tiles_of_the_paper_are_measured_alone(wang):

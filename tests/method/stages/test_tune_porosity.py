@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.method.families.kernel_radii import with_radii
 from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
@@ -44,14 +46,14 @@ def test_the_level_meets_any_target(recipe, target):
 def test_by_gap():
     context = PlainContext(3)
     recipe = recipe_of(
-        MirroredFaces(count=9, spacing=Length(0.32), edge=Length(2)),
-        DartThrowing(count=14, spacing=Length(0.32)),
+        MirroredFaces(count=9, spacing=Length(0.16, "cell"), edge=Length(2)),
+        DartThrowing(count=14, spacing=Length(0.16, "cell")),
         MinimumSpanningTree(),
-        GaussianField(pore_radius=Length(0.24), tunnel_radius=Length(0.08)),
+        GaussianField(pore_radius=Length(0.12, "cell"), tunnel_radius=Length(0.04, "cell")),
     )
     ends = []
-    for gap in (0.34, 0.48):
-        changed = {"sample.dart_throwing": {"gap": Length(gap)}}
+    for gap in (0.17, 0.24):
+        changed = {"sample.dart_throwing": {"gap": Length(gap, "cell")}}
         ends.append(porosity(recipe.run(PlainContext(3), options=changed), 48))
     target = sum(ends) / 2
     micro = TunePorosity(target=target, by="gap", resolution=32, tolerance=0.003).run(context, recipe)
@@ -59,8 +61,92 @@ def test_by_gap():
     assert micro.level == 0.25
     inside = micro.graph.pores.of_piece(0)
     assert inside.min() >= context.reported["gap"] - 1e-12
-    with pytest.raises(DesignError, match="best is the gap"):
-        TunePorosity(target=0.95, by="gap", resolution=16).run(PlainContext(3), recipe)
+    assert context.reported["draw"] == 0
+    assert context.reported["tunnel_radius"] == context.reported["tunnel_radius_asked"] == pytest.approx(0.04)
+    with pytest.raises(DesignError, match=r"best is the gap.*\n.*`fit_count: true`"):
+        TunePorosity(target=0.95, by="gap", resolution=16, evaluations=6).run(PlainContext(3), recipe)
+
+
+def of_the_paper(total=66, **field):
+    return recipe_of(
+        MirroredFaces(total=total, share=0.5, edge=Length(2), faces_margin="paper"),
+        DartThrowing(total=total),
+        BoundedDegreeSubgraph(mode="greedy"),
+        GaussianField(**(field or {"omega": 30, "mu": 30})),
+    )
+
+
+@pytest.mark.parametrize("target", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_count_and_gap_meet_the_target_as_in_the_paper(target, seed):
+    """A cell that steps over the target gives way to others: the first cell alone meets 7 of 18 (6 seeds)."""
+    context = PlainContext(seed)
+    stage = TunePorosity(target=target, by="gap", fit_count=True, trials=2, resolution=40)
+    micro = stage.run(context, of_the_paper())
+    assert porosity(micro, 97) == pytest.approx(target, abs=1.2e-3)
+    assert abs(context.reported["porosity_error"]) <= 1e-3
+    assert micro.level == 0.25
+    assert micro.graph.pores.summary()["pores_per_cell"] == context.reported["count"]
+    assert micro.graph.pores.of_piece(0).min() >= context.reported["gap"] - 1e-12 >= micro.graph.pores.spacing - 1e-9
+
+
+def test_a_gap_that_is_missed_does_not_ask_for_what_is_on():
+    stage = TunePorosity(target=0.7, by="gap", fit_count=True, trials=1, resolution=16, tolerance=1e-7, evaluations=8)
+    with pytest.raises(DesignError, match="none of") as error:
+        stage.run(PlainContext(1), of_the_paper())
+    assert "fit_count" not in error.value.hint
+
+
+def test_radii_that_the_level_has_changed_are_told():
+    """The tunnels shrink to half of what was asked for: that is reported, and warned about."""
+    recipe = of_the_paper(90, pore_radius=Length(0.22), tunnel_radius=Length(0.1))
+    context = PlainContext(2)
+    micro = TunePorosity(target=0.5, resolution=32, tolerance=0.003).run(context, recipe)
+    kernels, found = micro.pieces.kernels, context.reported
+    assert found["tunnel_radius_asked"] == pytest.approx(0.05)
+    assert found["pore_radius_asked"] == pytest.approx(0.11)
+    assert found["tunnel_radius"] < 0.9 * 0.05
+    assert found["tunnel_radius"] == pytest.approx(np.log(1 / micro.level) / kernels.mu[0])
+    assert found["pore_radius"] == pytest.approx(np.sqrt(np.log(1 / micro.level) / kernels.omega[0]))
+    assert "tunnel_radius_mm" not in found
+    assert f"{found['tunnel_radius']:.4g} cell sizes instead of 0.05" in context.warnings[0]
+
+
+@pytest.mark.parametrize(("held", "moved"), [("tunnel_radius", "pore_radius"), ("pore_radius", "tunnel_radius")])
+def test_a_held_radius_stays_and_the_other_one_meets_the_target(held, moved):
+    recipe = recipe_of(
+        MirroredFaces(total=60, share=0.5, edge=Length(4, "mm")),
+        DartThrowing(total=60),
+        BoundedDegreeSubgraph(mode="greedy"),
+        GaussianField(pore_radius=Length(0.44, "mm"), tunnel_radius=Length(0.12, "mm")),
+    )
+    context = PlainContext(2)
+    micro = TunePorosity(target=0.5, hold=held, resolution=40).run(context, recipe)
+    assert porosity(micro) == pytest.approx(0.5, abs=1e-3)
+    assert micro.level == 0.25
+    found = context.reported
+    assert found[held] == pytest.approx(found[f"{held}_asked"])
+    assert abs(found[moved] / found[f"{moved}_asked"] - 1) > 0.02
+    assert found["tunnel_radius_mm"] == pytest.approx(4 * found["tunnel_radius"])
+    assert found[f"{held}_mm"] == pytest.approx({"pore_radius": 0.44, "tunnel_radius": 0.12}[held])
+
+
+@pytest.mark.parametrize("options", [{"hold": "tunnel_radius"}, {"tolerance": 1e-7}])
+def test_tunnels_that_leave_too_little_solid_are_told_their_largest_radius(options):
+    """However fine the grid, tunnels alone make more void than is asked for."""
+    recipe = of_the_paper(90, pore_radius=Length(0.1), tunnel_radius=Length(0.2))
+    with pytest.raises(DesignError, match=r"tunnels of a radius of 0\.1 cell sizes alone") as error:
+        TunePorosity(target=0.3, resolution=24, **options).run(PlainContext(2), recipe)
+    radius = float(error.value.hint.split("below ")[1].split()[0])
+    alone = with_radii(
+        of_the_paper(90, pore_radius=Length(0.1), tunnel_radius=Length(2 * radius)).run(PlainContext(2)), 1e-3
+    )
+    assert porosity(alone) == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_gap_holds_both_radii():
+    with pytest.raises(ConfigError, match="keeps both radii"):
+        TunePorosity(target=0.5, by="gap", hold="tunnel_radius").check_options()
 
 
 @pytest.mark.parametrize("target", [0.3, 0.6])

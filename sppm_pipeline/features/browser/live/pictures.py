@@ -165,7 +165,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     field = np.empty((nz, ny, nx), np.float32)
     skin = np.empty_like(field) if part.skin_mm else None
     outer = None if closed else np.empty_like(field)
-    held = np.empty(field.shape if part.islands == "remove" else (0, 0, 0), np.uint8)
+    held = np.empty(field.shape if part.islands != "keep" else (0, 0, 0), np.uint8)
     step = max(1, SLAB_SAMPLES // (nx * ny))
     for start in range(0, nz, step):
         layers = slice(start, min(start + step, nz))
@@ -197,7 +197,8 @@ def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.ui
     vanish.
     """
     from sppm_pipeline.method.connectivity.components import find_components
-    from sppm_pipeline.method.connectivity.islands import clear_runs, grown
+    from sppm_pipeline.method.connectivity.islands import clear_runs
+    from sppm_pipeline.method.tiling.lattice import dilated
 
     found = find_components(held)
     total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
@@ -208,7 +209,7 @@ def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.ui
         clear_runs(found.runs.rows, found.runs.bounds, found.of_run == 0, held)
     stays = held.view(np.bool_)
     for _ in range(_BEYOND):
-        stays = (grown(stays) & beyond) | held.view(np.bool_)
+        stays = (dilated(stays) & beyond) | held.view(np.bool_)
     for field in fields:
         np.negative(field, out=field, where=(field < 0) & ~stays)
     return (total - largest) / max(1, total)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.connectivity.islands import grown
+from sppm_pipeline.method.tiling.lattice import dilated
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.camera import Frame, projected
 from sppm_pipeline.services.pictures.mesh_view import vertex_normals
@@ -226,7 +226,7 @@ def _void(solid: Solid) -> NDArray[np.uint8]:
     void = np.zeros(near.shape, np.uint8)
     for _ in range(_FAR):
         void += ~near
-        near = grown(near)
+        near = dilated(near)
     return void
 
 

@@ -22,6 +22,7 @@ class WriteBars(Stage):
     """
 
     name: ClassVar[str] = "write.bars"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
 
     path: str = options.write_path("bars.png", suffixes=options.CHARTS)
     label: str = options.label("run")

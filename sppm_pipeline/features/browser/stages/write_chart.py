@@ -26,6 +26,7 @@ class WriteChart(Stage):
     """
 
     name: ClassVar[str] = "write.chart"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
 
     path: str = options.write_path("chart.png", suffixes=options.CHARTS)
     x: str = option(help="column along the horizontal axis", column=True)

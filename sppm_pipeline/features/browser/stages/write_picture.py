@@ -27,6 +27,9 @@ from sppm_pipeline.features.browser.live.pictures import (
     voxel_picture,
 )
 
+VALUES_OF_A_PIXEL = 15.5
+"""Values of five bytes that are held for each pixel of the picture that is drawn, as measured."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class WritePicture(Stage):
@@ -54,21 +57,25 @@ class WritePicture(Stage):
 
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
-        tiles = 1.0
+        tiles, held = 1.0, VALUES_OF_A_PIXEL * pixels
         if what.triangles:
-            return Size(pixels=pixels, triangles=what.triangles)
+            return Size(pixels=pixels, triangles=what.triangles, resident=held)
         if what.voxels:
             # as many as an image of pores and walls that are eight voxels wide has
-            return Size(pixels=pixels, triangles=what.voxels / 2)
+            return Size(pixels=pixels, triangles=what.voxels / 2, resident=held)
         body = what.body
         if what.cells > body.volume:  # a sheet of a tile set
             tiles, pixels = min(what.cells, MAX_TILES), 300.0 * 270
+            held = VALUES_OF_A_PIXEL * pixels
         while n > 4 and body.samples(n) > MAX_SAMPLES:
             n -= 1
         grid = what.grid(n)
         return Size(
-            pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples
-        )  # fmt: skip
+            pixels=tiles * pixels,
+            samples=tiles * grid.samples,
+            sums=tiles * grid.sums,
+            resident=grid.samples + held,
+        )
 
     def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:
         """Render and write."""

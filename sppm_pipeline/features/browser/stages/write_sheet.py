@@ -29,7 +29,7 @@ class WriteSheet(Stage):
     advice: ClassVar[str] = "lower `width`"
 
     path: str = options.write_path("sheet.png", suffixes=(".png",))
-    picture: str = option("picture.png", help="name of the picture in the folder of each run")
+    picture: str = option("picture.png", help="name of the picture in the folder of each run", run_file=True)
     label: str = options.label("run", note="its values stand beneath the pictures")
     per_row: int | None = option(
         None,

@@ -14,8 +14,9 @@ from typing import Any
 
 from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
 from sppm_pipeline.engine.config.document import RECORD_KEY, compose, yaml_text
+from sppm_pipeline.engine.config.problems import raise_problems
 from sppm_pipeline.engine.files import write_whole
-from sppm_pipeline.engine.plan.estimate import estimate_plan, refuse_what_cannot_fit
+from sppm_pipeline.engine.plan.estimate import estimate_plan, unfit_problems
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.plan.wiring import Step
@@ -216,7 +217,7 @@ class Design:
         plan = self._with_text(text).plan()
         group = plan.recipes[target.recipe] if target.recipe else plan.steps
         alone = dataclasses.replace(plan, steps=_needed(group, target.step), plugins=())
-        refuse_what_cannot_fit(estimate_plan(alone), Path("."))
+        raise_problems(unfit_problems([estimate_plan(alone)], Path(".")))
         memory = run_in_memory(alone, threads=self.threads)
         made = memory.result(target.step)
         view = view_of(made, samples=SAMPLES, threads=self.threads)

@@ -34,6 +34,7 @@ class WriteCurves(Stage):
     """
 
     name: ClassVar[str] = "write.curves"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
 
     path: str = options.write_path("curves.png", suffixes=options.CHARTS)
     table: str | None = option(

@@ -1,7 +1,7 @@
 """GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in meters, y up, as the specification says.
 
 Materials, textures and animations are skipped. Compressed meshes and data outside of the file are refused. What is
-placed where is found out here, with the checks that libraries leave out.
+placed where is determined here, with the checks that libraries leave out.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """3MF, the format of 3D printing programs: meshes as XML in a ZIP archive, with a unit, components and items to build.
 
 Read are the core specification and the parts of the production extension that say where an object lies. What is placed
-where is found out here, the tables of the meshes in `three_mf_model`.
+where is determined here, the tables of the meshes in `three_mf_model`.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ class Model(NamedTuple):
     items: list[Use]
 
 
-DEEPEST = 64
+MAX_DEPTH = 64
 """Elements inside each other; 3MF needs six."""
 
 _SLACK, _PER_ELEMENT = 16 * 2**20, 256
@@ -160,8 +160,8 @@ class XmlReader:
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._elements += 1
-        if len(self.path) >= DEEPEST:
-            self.fail(f"elements are nested more than {DEEPEST} deep")
+        if len(self.path) >= MAX_DEPTH:
+            self.fail(f"elements are nested more than {MAX_DEPTH} deep")
         self.start(tag, attributes)
         self.path.append(tag)
 

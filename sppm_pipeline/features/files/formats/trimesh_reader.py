@@ -15,7 +15,7 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.services.formats.input_file import third_party_reader
 from sppm_pipeline.services.formats.mesh_arrays import DecodedMesh, require_faces, require_sound
 
-LARGEST_OTHER = 2**28
+MAX_BYTES = 2**28
 """Bytes of a file in a format that only trimesh knows."""
 
 _NOT_READ = {
@@ -46,11 +46,11 @@ def decode_other(data: bytes | memoryview | bytearray, name: str, kind: str) -> 
     Raises
     ------
     InputError
-        If the file is larger than `LARGEST_OTHER`, or trimesh fails.
+        If the file is larger than `MAX_BYTES`, or trimesh fails.
     """
-    if len(data) > LARGEST_OTHER:
+    if len(data) > MAX_BYTES:
         raise InputError(
-            f"{name} has {len(data)} bytes; of a .{kind} file {LARGEST_OTHER} are read at most",
+            f"{name} has {len(data)} bytes; of a .{kind} file {MAX_BYTES} are read at most",
             hint="convert it to .stl, .ply or .3mf",
         )
     with third_party_reader("trimesh", name, "convert it to .stl, .ply or .3mf"):

@@ -23,6 +23,7 @@ class ReadVoxels(Stage):
     """
 
     name: ClassVar[str] = "read.voxels"
+    libraries: ClassVar[tuple[str, ...]] = ("imagecodecs", "pynrrd", "tifffile")
 
     path: Path = options.read_path(note="an image, or a folder of pictures")
     values: str = option(

@@ -31,7 +31,7 @@ ENCODERS = {
 """Extension -> module that encodes it."""
 
 IN_PIECES = (".stl", ".ply", ".obj")
-"""What can be written while the mesh is made."""
+"""Formats that can be written while the mesh is made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,7 @@ class WriteMesh(Stage):
 
     @property
     def _placed(self) -> bool:
-        """Whether the file holds the mesh of copies once."""
+        """Return whether the file holds the mesh of copies once."""
         return extension_of(self.path) == ".glb" or self.copies == "components"
 
     def _labels(self, mesh_name: str) -> dict[str, Any]:

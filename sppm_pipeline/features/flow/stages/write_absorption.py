@@ -26,6 +26,7 @@ class WriteAbsorption(Stage):
     """
 
     name: ClassVar[str] = "write.absorption"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
 
     path: str = options.write_path("absorption.png", suffixes=options.CHARTS)
     title: str = options.title("", note="above the chart")

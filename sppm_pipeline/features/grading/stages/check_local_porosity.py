@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -65,7 +66,8 @@ class CheckLocalPorosity(Stage):
     The window is a Gaussian with a standard deviation of half a cell edge; the map is smoothed by it, too, and only
     what lies in the part counts. With a recipe the noise is measured that a homogeneous structure of that recipe shows
     in the same window. Written are `cells.csv`, the smoothed porosity as `porosity.vti`, `section.png` with target,
-    measured porosity and error, and `scatter.png`. Where the map came from target moduli by `grade.stiffness`, cells
+    measured porosity and error, and, if matplotlib is
+    installed, `scatter.png`. Where the map came from target moduli by `grade.stiffness`, cells
     get a modulus, too, by its curve, and `stiffness.vti` and `stiffness.png` show it; there is none where the porosity
     lies beyond the curve.
 
@@ -75,6 +77,7 @@ class CheckLocalPorosity(Stage):
     """
 
     name: ClassVar[str] = "check.local_porosity"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("cell_error_rms", "error of cells, rms"), Headline("cell_error_max", "largest"),
         Headline("error_rms", "error in the window, rms"), Headline("noise", "noise of a homogeneous structure"),
@@ -86,13 +89,6 @@ class CheckLocalPorosity(Stage):
 
     resolution: int = options.resolution(48, note="a multiple of 8 is taken", minimum=8, maximum=256)
     path: str | None = options.write_path(None, note="none if omitted", suffixes=("/",))
-
-    def check_options(self) -> None:
-        """Charts need matplotlib."""
-        if self.path is not None:
-            from sppm_pipeline.services.pictures.chart_style import check_chart
-
-            check_chart("scatter.png")
 
     def estimate(self, palette: Palette, field: Size, grading: Size, recipe: object = None) -> Size:
         return field.grid(self.resolution)
@@ -250,9 +246,11 @@ class CheckLocalPorosity(Stage):
         shown("porosity", "section.png", target, measured)
         if law is not None:
             shown("stiffness", "stiffness.png", law.curve.modulus(target), law.curve.modulus(measured))
-        (folder / "scatter.png").write_bytes(
-            porosity_scatter(cells.wanted, cells.found, target[there], measured[there], noise)
-        )
+        if find_spec("matplotlib") is None:
+            context.warn("scatter.png is not drawn, as matplotlib is not installed: pip install 'sppm-pipeline[plot]'")
+            return
+        picture = porosity_scatter(cells.wanted, cells.found, target[there], measured[there], noise)
+        (folder / "scatter.png").write_bytes(picture)
 
 
 def _of_cells(blocks: BlockMap, field: ScalarField) -> CellValues:

@@ -23,6 +23,7 @@ class GradeImage(DataGrader):
     """
 
     name: ClassVar[str] = "grade.image"
+    libraries: ClassVar[tuple[str, ...]] = ("imagecodecs", "pynrrd", "tifffile")
 
     path: Path = options.read_path(note="an image, or a folder of pictures")
     array: str | None = option(None, help="name of the array; needed if the file holds several")

@@ -44,6 +44,7 @@ class GradeNodes(DataGrader):
     """
 
     name: ClassVar[str] = "grade.nodes"
+    libraries: ClassVar[tuple[str, ...]] = ("meshio",)
 
     path: Path = options.read_path(note="a result of finite elements: .vtu, .vtk, .inp or .msh")
     array: str | None = option(None, help="name of the array; needed if the file holds several")

@@ -24,6 +24,7 @@ class ReadHexahedra(Stage):
     """
 
     name: ClassVar[str] = "read.hexahedra"
+    libraries: ClassVar[tuple[str, ...]] = ("meshio",)
     reported: ClassVar[tuple[str, ...]] = ("hexahedra",)
 
     path: Path = options.read_path(note="a mesh of hexahedra: .vtu, .vtk, .inp or .msh")

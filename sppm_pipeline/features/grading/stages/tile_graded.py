@@ -29,7 +29,7 @@ from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
 from sppm_pipeline.features.grading.rounds import curve_of, in_rounds, of_periodic_cells, recipe_total, trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families.interiors import FEWEST
+from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size
 from sppm_pipeline.method.families.tileset_maker import check_faces
 from sppm_pipeline.method.tiling.lattice import face_presence, meetings, tile_fresh, with_halo
@@ -170,7 +170,7 @@ class GradedTiling(Stage):
                 sides.append(curve.pores(np.clip(values, curve.porosities[0], curve.porosities[-1])))
             totals = np.zeros(len(place), np.int64)
             totals[faces[tuple(place.T)]] = np.rint((sides[0] + sides[1]) / 2)
-            found.append(np.maximum(totals, FEWEST))
+            found.append(np.maximum(totals, MIN_PORES))
         return found[0], found[1], found[2]
 
     def _laid(
@@ -235,7 +235,7 @@ class _Redraws:
         if further <= 0:
             # whole pores: what a fraction of one would correct is left to the level
             more = np.rint(np.where(measured, errors, 0.0) / slope).astype(np.int64)
-            totals = np.where(measured, np.maximum(self.totals - more, FEWEST), self.totals)
+            totals = np.where(measured, np.maximum(self.totals - more, MIN_PORES), self.totals)
             return self._with(totals, self._draws, measured & (more == 0) & (size > reach))
         if further * len(self._targets) <= EXTRA_CELLS and far.any():
             return self._with(self._best_totals, self._best_draws, far)

@@ -25,7 +25,7 @@ from sppm_pipeline.features.grading.hexahedra import cells_of_mesh, check_path, 
 from sppm_pipeline.features.grading.hexahedral_cloud import RIM, HexahedralCloud
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import trial
-from sppm_pipeline.method.families.tiler import ROOM
+from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
 
 NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch")
@@ -48,6 +48,7 @@ class HexahedralTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.hexahedra"
+    libraries: ClassVar[tuple[str, ...]] = ("meshio",)
     version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = (
         "hexahedra", "volume_min_mm3", "volume_max_mm3", "error_mean", "error_rms", "error_p95", "error_max",
@@ -104,7 +105,7 @@ class HexahedralTiling(Stage):
             recipe(palette, drawn)
             return made.at_porosity(None, **counts)
         times, n = 1 + self.rounds, self.resolution
-        recipe(palette, drawn * times + 8 * ROOM**3 * self.trials)
+        recipe(palette, drawn * times + 8 * TRIAL_BLOCKS**3 * self.trials)
         h = max(least / (FINEST * n), FINER * edge / made.body.coarse)
         nx, ny, nz = (side / h for side in mesh.box)
         counts |= {"samples": cells * float(n) ** 3 * times, "sums": nx * ny * nz * made.body.kernels * times}

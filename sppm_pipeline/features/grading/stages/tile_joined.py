@@ -29,7 +29,7 @@ from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import in_rounds
 from sppm_pipeline.method.connecting.bounded import spanning_subgraph
 from sppm_pipeline.method.connecting.degrees import clamped_degrees
-from sppm_pipeline.method.families.interiors import FEWEST
+from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.sampling.darts import throw
@@ -148,7 +148,7 @@ class JoinedTiling(Stage):
             context.progress(turn + 1, self.rounds + 1, "rounds")
             if turn == self.rounds or not step.any():
                 return None
-            counts = np.maximum(counts - step, FEWEST)
+            counts = np.maximum(counts - step, MIN_PORES)
             return turn + 1, counts
 
         made, report = in_rounds((0, counts), laid, errors, again)
@@ -200,7 +200,7 @@ class JoinedTiling(Stage):
         """The interior of a transition cell: pores that keep away from those of its faces, joined with each other."""
         a, b = usual
         obstacles = layout.around(number)
-        n = max(FEWEST, round(float(count)))
+        n = max(MIN_PORES, round(float(count)))
         expected = (1 - share) * a.pores + share * b.pores
         # sizes are mixed geometrically, as ratios matter, and shrink where more pores than expected have to fit
         spacing = a.spacing ** (1 - share) * b.spacing**share * min(1.0, (expected / n) ** (1 / 3))

@@ -35,6 +35,7 @@ class WarpHexahedra(Warper):
     """
 
     name: ClassVar[str] = "warp.hexahedra"
+    libraries: ClassVar[tuple[str, ...]] = ("meshio",)
     reported: ClassVar[tuple[str, ...]] = ("volume_min", "volume_max")
 
     path: Path = options.read_path(note="a mesh of hexahedra: .vtu, .vtk, .inp or .msh")

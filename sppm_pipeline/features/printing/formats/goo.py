@@ -85,7 +85,7 @@ def layer_record(
     *, pause_mm: float, top_mm: float, exposure: float, waits: tuple[float, float, float],
     lift: tuple[float, float], retract: tuple[float, float], length: int, little_endian: bool = False,
 ) -> bytes:  # fmt: skip
-    """What stands before the data of a layer.
+    """Header of the data of a layer.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def _put(out: NDArray[np.uint8], n: int, gray: int, length: int) -> int:
 
 @jit
 def _equal_bytes(difference: np.uint64) -> int:
-    """How many bytes of a difference other than 0 are 0 before the first that is not, the lowest first."""
+    """Number of zero bytes before the first other one in a nonzero difference, the lowest first."""
     count = 0
     if difference & np.uint64(0xFFFFFFFF) == 0:
         difference, count = difference >> np.uint64(32), 4

@@ -21,7 +21,7 @@ TIMESTAMP = "1980-01-01 at 00:00:00 UTC"
 THUMBNAILS = ((400, 400), (800, 480))
 """Width and height of the thumbnails that the printer shows."""
 
-MOST_FADED = 200
+MAX_FADED = 200
 """Layers over which the firmware fades from the first exposure to the others at most."""
 
 
@@ -56,7 +56,7 @@ def config(
     return ini({
         "action": "print", "expTime": _number(other), "expTimeFirst": _number(first), "expUserProfile": 0,
         "fileCreationTimestamp": TIMESTAMP, "hollow": 0, "jobDir": job, "layerHeight": _number(layer_mm),
-        "materialName": resin, "numFade": min(faded, MOST_FADED), "numFast": layers, "numSlow": 0,
+        "materialName": resin, "numFade": min(faded, MAX_FADED), "numFast": layers, "numSlow": 0,
         "printProfile": "sppm_pipeline", "printTime": f"{seconds:.6f}", "printerModel": model,
         "printerProfile": model, "printerVariant": "default", "prusaSlicerVersion": "sppm_pipeline",
         "usedMaterial": f"{milliliters:.6f}",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.services.jit.compiled import inline_jit
 
-TAIL = 1e-3
+IGNORED_DOSE = 1e-3
 """Doses of layers farther up than this share of the critical one, all together, are left out."""
 
 
@@ -34,7 +34,7 @@ class CureThrough:
     def __init__(self, shape: tuple[int, int], layer: float, penetration: float, cure_depth: float) -> None:
         self._q = np.float32(math.exp(-layer / penetration))
         self._critical = np.float32(math.exp(-cure_depth / penetration) * (1 - 1e-6))
-        ahead = (cure_depth + penetration * math.log(1 / (TAIL * (1 - float(self._q))))) / layer
+        ahead = (cure_depth + penetration * math.log(1 / (IGNORED_DOSE * (1 - float(self._q))))) / layer
         self._ahead = max(1, math.ceil(ahead))
         self._ring: deque[NDArray[np.uint8]] = deque()
         self._shape = shape[::-1]

@@ -1,4 +1,4 @@
-"""How far powder has to be moved until it is out of a part: geodesic distances on blocks of voxels, in memory."""
+"""Distance that powder must travel to leave a part: geodesic distances on blocks of voxels, in memory."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
-FAR = np.float32(np.inf)
+UNREACHED = np.float32(np.inf)
 
 _SLACK = 1.0 + 1e-5  # float32 squares that equal a bound up to rounding count as within
 
@@ -61,7 +61,7 @@ class StreamedDistance:
         for i, plane in enumerate(self._ring):
             if 0 < abs(i - self._before) <= self._reach[2]:
                 _lower(out.ravel(), plane.ravel(), h2 * np.float32((i - self._before) ** 2))
-        out[out > self._cap] = FAR
+        out[out > self._cap] = UNREACHED
         if self._before == self._reach[2]:
             self._ring.popleft()
         else:
@@ -113,7 +113,7 @@ def _along_rows(marked: NDArray[np.uint8], reach: int, h2: np.float32, out: NDAr
         far = reach + 1
         for x in range(nx):
             far = 0 if marked[y, x] else far + 1
-            out[y, x] = h2 * np.float32(far * far) if far <= reach else FAR
+            out[y, x] = h2 * np.float32(far * far) if far <= reach else UNREACHED
         far = reach + 1
         for x in range(nx - 1, -1, -1):
             far = 0 if marked[y, x] else far + 1

@@ -127,7 +127,7 @@ def _turn(a: list[int], b: list[int], c: list[int]) -> int:
 
 
 def margin_inside(hull: NDArray[np.float64], point: tuple[float, float]) -> float:
-    """How far a point lies inside a convex polygon with counterclockwise corners; negative outside of an edge."""
+    """Depth of a point in a convex polygon with counterclockwise corners; negative outside of an edge."""
     edge = np.roll(hull, -1, 0) - hull
     to_point = np.asarray(point) - hull
     return float(((edge[:, 0] * to_point[:, 1] - edge[:, 1] * to_point[:, 0]) / np.hypot(edge[:, 0], edge[:, 1])).min())

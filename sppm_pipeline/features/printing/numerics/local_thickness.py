@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.services.jit.compiled import jit
 
-FAR = np.int32(2**30)
+UNREACHED = np.int32(2**30)
 """Stands for no voxel of the other phase at all."""
 
 
@@ -28,9 +28,9 @@ def squared_distance(
     Returns
     -------
     (nz, ny, nx) int32
-        0 outside the phase; `FAR` everywhere if there is no outside.
+        0 outside the phase; `UNREACHED` everywhere if there is no outside.
     """
-    squared = np.where(phase != 0, FAR, np.int32(0))
+    squared = np.where(phase != 0, UNREACHED, np.int32(0))
     # along one axis after the other, the nearest in a plane follows from the nearest in its rows
     for axis, wraps in ((2, periodic[0]), (1, periodic[1]), (0, periodic[2])):
         lines = np.ascontiguousarray(np.moveaxis(squared, axis, 2))
@@ -110,7 +110,7 @@ def local_thickness(
     Hildebrand and Rüegsegger 1997, "A new method for the model-independent assessment of thickness".
     """
     squared = squared_distance(phase, periodic)
-    if squared.size and squared.max() >= FAR:
+    if squared.size and squared.max() >= UNREACHED:
         return np.full(phase.shape, min(phase.shape), np.float32)
     centers = np.flatnonzero(_ridge(squared, np.array(periodic[::-1], np.uint8)))
     # the largest balls first, equal ones in the order of their voxels: each voxel is painted once

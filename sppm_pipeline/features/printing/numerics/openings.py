@@ -46,7 +46,7 @@ class ThroatLevel(NamedTuple):
 class Throats:
     """Void that does not drain through throats of several diameters; take in layers by `add`, then `finish`.
 
-    Whoever moves a ball out reaches the border of the image, the top, or the plate side: it is what drains after the
+    A ball that leaves reaches the border of the image, the top, or the plate side: it is what drains after the
     part was taken off the plate.
 
     Parameters
@@ -88,7 +88,7 @@ class Throats:
             self._layers += 1
 
     def finish(self) -> list[ThroatLevel]:
-        """What was found at each diameter."""
+        """Results at each diameter."""
         self._follow(self._distance.finish())
         return [
             ThroatLevel(d, room, int(tracker.finish(self._layers).totals[NEVER]))
@@ -97,7 +97,7 @@ class Throats:
 
 
 class ThinFeatures:
-    """What of a phase no ball of a diameter covers: features thinner than it, to within a voxel, and sharp edges.
+    """Part of a phase that no ball of a diameter covers: features thinner than it, to within a voxel, and sharp edges.
 
     The phase minus its morphological opening. Take in the layers of the phase by `add`, then `finish`.
 

@@ -16,7 +16,7 @@ GOLDEN = (1 + math.sqrt(5)) / 2
 
 
 class Score(NamedTuple):
-    """What a body costs in one orientation; lengths in voxels.
+    """Costs of a body in one orientation; lengths in voxels.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ VOID, SOLID, OVERHANG, ISLAND, CUP, TRAP = range(6)
 BANDS = 8
 """Of so many bands of the height the worst layer for each reason is remembered, so that not all are neighbors."""
 
-APART = 60
+SPACINGS_IN_HEIGHT = 60
 """Painted layers differ by more than this part of the height, as neighbors look alike."""
 
 _TRAPPED, _OPENED, _AMBIENT = -1, -2, -3
@@ -30,16 +30,16 @@ CURVES = (
 
 
 class Scan(NamedTuple):
-    """What a pass over all layers found; lengths are in pixels and layers.
+    """Results of a pass over all layers; lengths are in pixels and layers.
 
     Attributes
     ----------
     ground : int
         First layer that holds solid; the number of layers if none does.
     curves : dict of str to (layers,) int64
-        By the names of `CURVES`: pixels of solid; of void that is a cup in this half-stack; of solid that does not hang
-        on the plate yet; of these, the ones in components that begin here; of overhang; two-dimensional components of
-        solid, pixels of the largest, and edges along x and y of its outline.
+        By the names of `CURVES`: pixels of solid; of void that is a cup in this half-stack; of solid
+        not yet connected to the plate; of these, the ones in components that begin here; of overhang; two-dimensional
+        components of solid, pixels of the largest, and edges along x and y of its outline.
     islands, cups : Events
         Of solid and of void.
     center : (3,) float64
@@ -188,7 +188,7 @@ class PrintScan:
             own = sorted((one for (_, why), one in self._worst.items() if why == reason), key=lambda one: -one.score)
             ranks += [(rank, number, one) for rank, one in enumerate(own)]
         picked: dict[int, _Remembered] = {}
-        apart = self._shape[2] // APART
+        apart = self._shape[2] // SPACINGS_IN_HEIGHT
         for _, _, one in sorted(ranks, key=lambda place: place[:2]):
             if len(picked) < self._pictures and all(abs(one.layer - k) > apart for k in picked):
                 picked[one.layer] = one

@@ -18,10 +18,10 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root
 
 JOINED, NEVER, AT_PLATE, AT_END = 0, 1, 2, 3
-"""How the time ends in which a component is on its own: joined to what is grounded (a cup is vented, an island caught);
+"""Ends of the time in which a component is on its own: joined to what is grounded (a cup is vented, an island caught);
 complete without; complete and open only towards the build plate; still open in the last layer."""
 
-LISTED = 2**18
+MAX_LISTED = 2**18
 """Events kept one by one; of more only the largest are, and the totals of all."""
 
 # columns of the table of open components, and of events behind their kind and their end
@@ -163,9 +163,9 @@ class Tracker:
         np.add.at(self._total, events[:, 0], events[:, 2 + _VOLUME])
         self._events.append(events)
         self._waiting += len(events)
-        if self._waiting > LISTED:
+        if self._waiting > MAX_LISTED:
             merged = np.concatenate(self._events)
-            self._events, self._waiting = [merged[_largest_first(merged)[:LISTED]]], 0
+            self._events, self._waiting = [merged[_largest_first(merged)[:MAX_LISTED]]], 0
 
 
 def _largest_first(events: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -363,7 +363,7 @@ def _grow(
     longest = np.zeros(n_open, np.int64)
     for s in range(n_open):
         grown[s, _VOLUME] += section[s]
-        longest[s] = nx + 1  # no run is: nobody asks for the place of what is grounded, or was larger before
+        longest[s] = nx + 1  # no run is: the place of what is grounded, or was larger before, is never read
         if grown[s, _GROUNDED] == 0:
             loose += section[s]
             if grown[s, _BIRTH] == k:

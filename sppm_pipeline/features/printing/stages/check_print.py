@@ -35,17 +35,17 @@ if TYPE_CHECKING:
 ATMOSPHERE = 0.101
 """N/mm2: a cup that is pulled off the film is held by no more than the pressure of the air outside."""
 
-LISTED = 100
+MAX_LISTED = 100
 """Events of a kind that the report lists one by one, the largest first."""
 
 THROATS = (0.5, 2**-0.5, 1.0, 2**0.5, 2.0)
 """Throats that are measured, as multiples of `drain`."""
 
 VOXELS_ACROSS = 4
-"""Voxels across the smallest size that is looked for; layers with finer pixels are taken together. A choice: sizes are
-right to within one of these voxels."""
+"""Voxels across the smallest size that is looked for; layers with finer pixels are merged. A heuristic: sizes are
+right to within one of these voxels, so twice as many halve the error and cost eight times the time."""
 
-MOST_BLOCKS = 2**26
+MAX_BLOCKS = 2**26
 """Blocks in which ways out are searched, which are held in memory, five bytes each."""
 
 SOLID_FROM = 128
@@ -59,12 +59,12 @@ class CheckPrint(Stage):
     Half-stack k is what is there when layer k is printed: layers 0 to k, bottom first, with the film below layer k. A
     suction cup is void in it that meets layer k and reaches neither the border of the image nor, with
     `plate: supports`, the space below the first layer. A resin trap is void of the whole part that opens nowhere. An
-    island is solid that does not hang on the first layer yet. Void and solid are joined across faces of voxels only,
+    island is solid not yet connected to the first layer. Void and solid are joined across faces of voxels only,
     which errs on the safe side for both. The suction is an upper bound: the pressure of the air on all cups of a layer.
 
     With `drain`, throats are measured: void from which a ball of that diameter, or of half to twice of it, can't be
-    moved out is undrained; how far it has to go at most where it can is told as the longest way out, along the axes and
-    to within two diameters, which loose powder has to take. With `min_feature`, walls and channels are found that no
+    moved out is undrained; `way_out_mm` is the longest distance that powder must travel to an opening, along the axes
+    and to within two diameters. With `min_feature`, walls and channels are found that no
     ball of that diameter fits into; sharp edges of solid count among them. Both look at voxels of about a quarter of
     the smallest size. With a `resin`, or its `penetration` and `cure_depth`, resin that later layers cure in the void
     below them is found (Jacobs' working curve): a model, not a measurement of your resin. Time is that of exposures and
@@ -74,6 +74,7 @@ class CheckPrint(Stage):
     """
 
     name: ClassVar[str] = "check.print"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     reported: ClassVar[tuple[str, ...]] = (
         "traps", "trap_mm3", "largest_trap_mm3", "cups", "cups_at_plate", "cups_open_at_top", "largest_cup_mm2",
         "suction_n", "islands", "largest_island_mm2", "floating_parts", "floating_mm3", "overhang_mm2",
@@ -316,7 +317,7 @@ class Passes:
             sizes = [stage.drain.mm() * factor for factor in THROATS]
             coarse = coarsened("throats", sizes[0])
             blocks = math.prod(coarse.shape) * stack.shape[2] * h / self.pitches["throats"][2]
-            block = max(VOXELS_ACROSS, math.ceil(math.cbrt(blocks / MOST_BLOCKS)))
+            block = max(VOXELS_ACROSS, math.ceil(math.cbrt(blocks / MAX_BLOCKS)))
             self._depth = Depth(coarse.shape, block)
             self._throats = Throats(
                 coarse.shape, self.pitches["throats"], sizes, (sizes[THROATS.index(1.0)], self._depth)
@@ -357,7 +358,7 @@ class Passes:
                 self._printed.add(layer)
 
     def numbers(self) -> dict[str, Any]:
-        """What was measured beyond the half-stacks; None for what was not asked for."""
+        """Measurements beyond the half-stacks; None for those that were not requested."""
         from sppm_pipeline.features.printing.numerics.tracker import NEVER
 
         found: dict[str, Any] = dict.fromkeys(
@@ -393,7 +394,7 @@ def _listed(found: Events, which: NDArray[np.bool_], stack: SliceStack) -> list[
     (px, py), h = stack.pixel_mm, stack.layer_mm
     ends = {0: "joined", 1: "never", 2: "at the plate", 3: "open at the top"}
     rows = []
-    for i in np.flatnonzero(which)[:LISTED]:
+    for i in np.flatnonzero(which)[:MAX_LISTED]:
         place = (found.place[i, ::-1] + 0.5) * (px, py, h) + stack.origin_mm
         rows.append(
             {

@@ -29,15 +29,16 @@ MEASURES = {
     "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than the machine makes it"),
     "narrow": Measure("narrow_void_share", "", "share of the void that is narrower than the machine leaves open"),
 }
-"""What `fail` may name."""
+"""Names that `fail` accepts."""
 
-NOTICED = 0.01
-"""Share that is warned about: a choice; rims of walls that are thick enough make up as much."""
+WARNED_FRACTION = 0.01
+"""Fraction that triggers a warning, a heuristic: rims of walls that are thick enough make up as much, so that at half
+of it sound parts trigger one."""
 
-EARNEST = 6
+MIN_VOXELS_ACROSS = 6
 """Voxels that a limit should measure: twice the error of the sizes."""
 
-LARGEST = 512**3
+MAX_VOXELS = 512**3
 """Most voxels; each takes 20 bytes while the balls are painted."""
 
 
@@ -127,10 +128,10 @@ class CheckSizes(Stage):
             spacing, physical, periodic = source.spacing[0], source.physical, source.periodic
         else:
             cells = source.cells
-            if np.prod(cells, dtype=float) * self.resolution**3 > LARGEST:
+            if np.prod(cells, dtype=float) * self.resolution**3 > MAX_VOXELS:
                 raise ResourceError(
                     f"{' x '.join(map(str, cells))} cells of {self.resolution}^3 voxels are more than the limit of "
-                    f"{LARGEST} voxels",
+                    f"{MAX_VOXELS} voxels",
                     hint="lower `resolution`, or take fewer cells",
                 )
             solid, area = _solid_and_area(source, self.resolution, context.threads)
@@ -159,13 +160,13 @@ class CheckSizes(Stage):
         for small, limit in limits.items():
             if limit is None:
                 continue
-            if limit < EARNEST * voxel:
+            if limit < MIN_VOXELS_ACROSS * voxel:
                 context.warn(
                     f"{limit:g} mm are {limit / voxel:.2g} voxels, and sizes come out too small by up to three: raise "
                     "`resolution`"
                 )
             measure = MEASURES[small]
-            if (share := found.get(measure.number)) is not None and share > NOTICED:
+            if (share := found.get(measure.number)) is not None and share > WARNED_FRACTION:
                 context.warn(f"{measure.text}: {share:.1%}, below {limit:g} mm")
         broken = [text for rule in self.fail if (text := parse_rule(rule, MEASURES).broken_by(found))]
         if broken:

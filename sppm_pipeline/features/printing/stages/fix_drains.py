@@ -3,23 +3,48 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from itertools import islice
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Headline, Length, Palette, Part, Size, Stage, option, options
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Headline,
+    Length,
+    Palette,
+    Part,
+    Size,
+    Stage,
+    SurfaceMesh,
+    option,
+    options,
+)
+from sppm_pipeline.features.printing.numerics.routes import AMBIENT
 from sppm_pipeline.features.printing.print_report import rounded
 from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.grid import Grid
 
-LOW = 3
-"""Layers of the grid above the lowest void of a trap up to which a hole vents it while it is printed; higher up it
-would suck until the hole is reached."""
+if TYPE_CHECKING:
+    from sppm_pipeline.features.printing.numerics.drilling import Candidates
+    from sppm_pipeline.features.printing.numerics.routes import Traps
 
-LOW_COSTS = 3.0
-"""A low hole may go through so many times the solid that the shortest one goes through: a choice."""
+HEIGHT_COSTS = 0.25
+"""Millimeters of solid that a hole may go through to begin a millimeter lower: resin runs out of low holes, and air
+comes in through them while the part is printed. At half of it holes move up where the skin is thinner."""
+
+HIDDEN_COSTS = 0.5
+"""The same for a hole that faces away from `toward`, for each millimeter of the part: twice what height can cost."""
+
+TRIES = 60
+"""Places that are drilled on the grid for a void before it is given up: a bound on the time, some 0.1 s each."""
+
+SMALLEST_SHARE = 2e-3
+"""Of the void that is sealed before; what is less stays as a drop that no hole is worth."""
 
 Drain = tuple[float, ...]
 
@@ -28,100 +53,161 @@ Drain = tuple[float, ...]
 class FixDrains(Stage):
     """Drill holes until no resin is trapped, and list them; a hole is kept only if what it was drilled for is open.
 
-    The part is sampled on a coarse grid. For each closed void, the largest first, the way out through the least solid
-    is searched; one near the lowest place of the void is preferred, as it also lets air in while the part is printed
-    there, and none leaves through the build plate. The straightened way becomes a drain of the part, which wins over
-    skin and microstructure. Beside the list, the holes are written as a mesh, for plugs.
+    The part is sampled on a coarse grid. For each closed void, the largest first, a hole is drilled straight in from
+    the surface, where it goes through little solid, low in the part. No hole comes nearer than `clear` to a sharp edge,
+    to a hole that the part has (a concave cylinder or cone), or to the build plate, nor nearer than `keep_out_within`
+    to the mesh at the port `keep_out`; none runs along below another face, and none cuts a piece of the solid off. The
+    holes become drains of the part, which win over skin and microstructure. Beside the list, they are written as a
+    mesh, for plugs, and drawn.
     """
 
     name: ClassVar[str] = "fix.drains"
+    version: ClassVar[int] = 2
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("holes"), Headline("trapped_before_mm3", "trapped before", "mm^3"),
         Headline("trapped_mm3", "now", "mm^3"),
     )  # fmt: skip
 
     diameter: Length = option(Length(1.5), help="diameter of the holes", unit="mm", above=0, maximum=1e3)
+    clear: Length | None = option(
+        None, help="distance of their rims from edges, holes and the build plate; `diameter` if omitted",
+        unit="mm", minimum=0, maximum=1e3,
+    )  # fmt: skip
+    keep_out_within: Length | None = option(
+        None, help="distance of drains from the mesh at `keep_out`", unit="mm", minimum=0, maximum=1e3
+    )
+    toward: tuple[float, float, float] | None = option(
+        None, help="direction [x, y, z] in which holes should open, such as that of a side that is not seen",
+        minimum=-1e6, maximum=1e6,
+    )  # fmt: skip
     most: int = option(6, help="maximum number of holes", minimum=1, maximum=1000)
-    smallest: float = option(1.0, help="closed void that is worth a hole", unit="mm3", minimum=0, maximum=1e9)
-    report: str = options.write_path("drains", note="with drains.json and plugs.stl")
+    smallest: float | None = option(
+        None, help="closed void that is worth a hole; 0.2 % of all that is closed if omitted", unit="mm3",
+        minimum=0, maximum=1e9,
+    )  # fmt: skip
+    report: str = options.write_path("drains", note="with drains.json, drains.png and plugs.stl")
 
-    def estimate(self, palette: Palette, part: Size) -> Size:
+    def check_options(self) -> None:
+        if self.toward is not None and not any(self.toward):
+            raise ConfigError("`toward` is 0 along all axes, which is no direction")
+
+    def estimate(self, palette: Palette, part: Size, keep_out: Size | None = None) -> Size:
         return coarse_size(part)
 
-    def run(self, context: Context, part: Part) -> Part:
+    def run(self, context: Context, part: Part, keep_out: SurfaceMesh | None = None) -> Part:
         """Drill, look again, and drill the next."""
+        from sppm_pipeline.features.printing.numerics.drilling import drain_candidates, loose_voxels, signed_depths
         from sppm_pipeline.features.printing.numerics.routes import find_traps
         from sppm_pipeline.method.connectivity.components import find_components
         from sppm_pipeline.method.part.capsules import depths_in_capsules
+        from sppm_pipeline.method.part.inside import inside_layers, prepare_inside
 
         solid, world = part.coarse_solid(context.threads)
-        if self.diameter.mm() < world.spacing[0]:
+        radius = self.diameter.mm() / 2
+        if 2 * radius < world.spacing[0]:
             raise ConfigError(
-                f"holes of {self.diameter.mm():g} mm are narrower than the voxels on which they are checked, "
+                f"holes of {2 * radius:g} mm are narrower than the voxels on which they are checked, "
                 f"{world.spacing[0]:.3g} mm",
                 hint="give a larger `diameter`; resin wants a millimeter or more",
             )
+        clear = 2 * radius if self.clear is None else self.clear.mm()
+        zone = None
+        if self.keep_out_within is not None:
+            # an open port takes the nearest mesh, which is mostly the part itself
+            if keep_out is None or np.array_equal(keep_out.vertices, part.domain.vertices):
+                raise ConfigError(
+                    "`keep_out_within` is a distance from a mesh, and none is wired to the port `keep_out`",
+                    hint="read it by a stage with an id, and say from: {part: PART, keep_out: ID}",
+                )
+            zone = keep_out.vertices[keep_out.faces], self.keep_out_within.mm()
         voxel = world.spacing[0] ** 3
         before = traps = find_traps(solid)
-        pieces = _pieces(find_components(solid, (False,) * 3, 6).sizes)
+        smallest = SMALLEST_SHARE * float(before.sizes.sum()) * voxel if self.smallest is None else self.smallest
         holes: list[dict[str, Any]] = []
-        given_up = set()
-        while len(holes) < self.most:
-            worth = [
-                i for i, n in enumerate(traps.sizes) if n * voxel >= self.smallest and _place(traps, i) not in given_up
-            ]
+        given_up: set[tuple[int, int, int]] = set()
+        places = -1
+        if (before.sizes * voxel >= smallest).any():
+            found = drain_candidates(part.domain, radius, clear, zone)
+            places = len(found.points)
+            domain = prepare_inside(part.domain.vertices, part.domain.faces, world, part.method)
+            depths = signed_depths(inside_layers(domain, 0, len(solid)).mask, world.spacing[0])
+        loose = loose_voxels(find_components(solid, (False,) * 3, 6).sizes)
+        while places > 0 and len(holes) < self.most:
+            worth = [i for i, n in enumerate(traps.sizes) if n * voxel >= smallest and _place(traps, i) not in given_up]
             if not worth:
                 break
-            drain = self._drain(solid, world, traps, worth[0])
             place = _place(traps, worth[0])
-            drilled = solid.copy()
-            for window, depth in depths_in_capsules(world, [drain] if drain else []):
-                drilled[window][depth > 0] = 0
-            found = find_traps(drilled)
-            if drain is None or found.labels[place] != 1:
+            for drain in self._drains(part, found, traps, worth[0], depths, world, holes):
+                drilled = solid.copy()
+                for window, depth in depths_in_capsules(world, [drain]):
+                    drilled[window][depth > 0] = 0
+                now = find_traps(drilled)
+                left = loose_voxels(find_components(drilled, (False,) * 3, 6).sizes)
+                if now.labels[place] == AMBIENT and left <= loose:
+                    break
+            else:
                 given_up.add(place)
                 continue
             holes.append({
                 "from_mm": rounded(np.array(drain[:3])), "to_mm": rounded(np.array(drain[3:6])),
-                "diameter_mm": 2 * drain[6], "drains_mm3": float(f"{traps.sizes[worth[0]] * voxel:.6g}"),
+                "diameter_mm": 2 * radius, "drains_mm3": float(f"{traps.sizes[worth[0]] * voxel:.6g}"),
                 "capsule": list(drain),
             })  # fmt: skip
-            solid, traps = drilled, found
+            solid, traps, loose = drilled, now, left
+        remaining = int((traps.sizes * voxel >= smallest).sum())
         context.report(
             holes=len(holes),
             trapped_before_mm3=float(before.sizes.sum() * voxel),
             trapped_mm3=float(traps.sizes.sum() * voxel),
-            traps_left=int((traps.sizes * voxel >= self.smallest).sum()),
+            traps_left=remaining,
+            smallest_mm3=smallest,
+            clear_mm=clear,
             grid_mm=world.spacing[0],
         )
-        if left := int((traps.sizes * voxel >= self.smallest).sum()):
-            why = "no hole opens them" if len(holes) < self.most else f"`most` allows {self.most} holes"
+        if remaining:
+            why = f"`most` allows {self.most} holes"
+            if places == 0:
+                why = (
+                    f"all of the surface is nearer than {clear:g} mm to edges, holes or the plate; give a lower `clear`"
+                )
+            elif len(holes) < self.most:
+                why = f"no hole that keeps {clear:g} mm from edges, holes and faces opens them; try a lower `clear`"
             context.warn(
-                f"{left} closed voids of {self.smallest:g} mm3 or more are left, the largest of "
+                f"{remaining} closed voids of {smallest:.3g} mm3 or more are left, the largest of "
                 f"{traps.sizes.max() * voxel:.4g} mm3: {why}"
             )
-        if (now := _pieces(find_components(solid, (False,) * 3, 6).sizes)) > pieces:
-            context.warn(f"the holes cut the solid: {now} pieces of a hundredth of it or more, {pieces} before")
-        self._write(context, holes)
+        self._write(context, part, holes)
         return replace(part, drains=(*part.drains, *(tuple(hole["capsule"]) for hole in holes)))
 
-    def _drain(self, solid: NDArray[np.uint8], world: Grid, traps: Any, which: int) -> Drain | None:
-        """A capsule that opens a trap by the way through the least solid, or by one nearly as short low down."""
-        from sppm_pipeline.features.printing.numerics.routes import way_out
+    def _drains(
+        self,
+        part: Part,
+        candidates: Candidates,
+        traps: Traps,
+        which: int,
+        depths: NDArray[np.float32],
+        world: Grid,
+        holes: list[dict[str, Any]],
+    ) -> Iterator[Drain]:
+        """Capsules that lead into a trap, the best first."""
+        from sppm_pipeline.features.printing.numerics.drilling import borings, points_within, unit
 
-        ground = int(np.flatnonzero(solid.any((1, 2)))[0])
-        lowest = int(np.flatnonzero((traps.labels == which + 2).any((1, 2)))[0])
-        shortest = way_out(traps, which + 2, ground, len(solid))
-        low = way_out(traps, which + 2, ground, lowest + LOW)
-        if shortest is None:
-            return None
-        route = low if low is not None and low.solid <= LOW_COSTS * shortest.solid else shortest
-        h = world.spacing[0]
-        a, b = (np.array(world.origin) + h * np.array(end[::-1]) for end in (route.start, route.end))
-        beyond = h * (b - a) / np.linalg.norm(b - a)
-        return (*(a - beyond).tolist(), *(b + beyond).tolist(), self.diameter.mm() / 2)
+        lowest = world.axis(2)[np.flatnonzero((traps.labels == which + 2).any((1, 2)))[0]]
+        costs = HEIGHT_COSTS * np.maximum(0.0, candidates.points[:, 2] - lowest)
+        if self.toward is not None:
+            extent = float(np.max(part.domain.upper - part.domain.lower))
+            costs += HIDDEN_COSTS * extent * (1 + candidates.inwards @ unit(self.toward)) / 2
+        for drilled in holes:  # a bridge stays between two holes
+            own = np.array(drilled["capsule"]).reshape(1, 7)
+            axis = own[:, [0, 1, 2, 3, 4, 5, 3, 4, 5]].reshape(1, 3, 3)
+            costs[points_within(candidates.points, axis, 2 * candidates.radius + candidates.clear)] = np.inf
+        capsules = borings(candidates, traps, which + 2, depths, world, costs)
+        return islice((tuple(capsule.tolist()) for capsule in capsules if candidates.keeps_clear(capsule)), TRIES)
 
-    def _write(self, context: Context, holes: list[dict[str, Any]]) -> None:
+    def _write(self, context: Context, part: Part, holes: list[dict[str, Any]]) -> None:
+        from PIL import Image
+
+        from sppm_pipeline.features.printing.print_pictures import drains_sheet
         from sppm_pipeline.method.part.primitive_meshes import cylinder_mesh
         from sppm_pipeline.services.formats import stl
 
@@ -136,7 +222,9 @@ class FixDrains(Stage):
             faces.append(triangles + sum(len(own) for own in vertices))
             vertices.append(points @ _frame(b - a) + (a + b) / 2)
         if holes:
-            data = b"".join(stl.encode(np.concatenate(vertices), np.concatenate(faces)))
+            plugs = np.concatenate(vertices), np.concatenate(faces)
+            Image.fromarray(drains_sheet(part.domain, *plugs)).save(folder / "drains.png")
+            data = b"".join(stl.encode(*plugs))
             (folder / "plugs.stl").write_bytes(data)
 
 
@@ -144,11 +232,6 @@ def _place(traps: Any, which: int) -> tuple[int, int, int]:
     """The first voxel of a trap, by which it is known again."""
     z, y, x = np.unravel_index(int(np.argmax(traps.labels == which + 2)), traps.labels.shape)
     return int(z), int(y), int(x)
-
-
-def _pieces(sizes: NDArray[np.int64]) -> int:
-    """Components that hold a hundredth of the phase."""
-    return int(np.count_nonzero(100 * sizes >= sizes.sum()))
 
 
 def _frame(along: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,14 +15,14 @@ from sppm_pipeline.features.printing.print_report import rounded
 from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.grid import Grid
 
-LARGEST = 2**27
+MAX_VOXELS = 2**27
 """Most voxels of the grid, which is held in memory, some bytes each."""
 
-LISTED = 1000
+MAX_LISTED = 1000
 """Filled voids that are listed one by one, the largest first."""
 
-REACH = 0.95
-"""Radius of what fills a voxel, in edges of voxels: above the half diagonal of .87, so that no gap is left between
+FILL_RADIUS = 0.95
+"""Radius of what fills a voxel, in edges of voxels: above the half diagonal of 0.87, so that no gap is left between
 voxels, and below 1, so that it reaches the center of no other."""
 
 
@@ -58,10 +58,10 @@ class FixFill(Stage):
 
         pitch = self.voxel.mm() if self.voxel is not None else part.coarse_pitch()
         voxels = float(np.prod((part.domain.upper - part.domain.lower) / pitch + 2))
-        if voxels > LARGEST:
+        if voxels > MAX_VOXELS:
             raise ResourceError(
-                f"a grid of voxels of {pitch:g} mm has {voxels:.3g} of them, and {LARGEST} are allowed",
-                hint=f"give a `voxel` of {pitch * math.cbrt(voxels / LARGEST) * 1.01:.2g} mm or more",
+                f"a grid of voxels of {pitch:g} mm has {voxels:.3g} of them, and {MAX_VOXELS} are allowed",
+                hint=f"give a `voxel` of {pitch * math.cbrt(voxels / MAX_VOXELS) * 1.01:.2g} mm or more",
             )
         solid, world = part.coarse_solid(context.threads, pitch)
         voxel = pitch**3
@@ -89,10 +89,10 @@ class FixFill(Stage):
         return made
 
     def _write(self, context: Context, places: NDArray[np.int32], volumes: NDArray[np.floating], world: Grid) -> None:
-        at = np.array(world.origin) + places[:LISTED, ::-1] * world.spacing
+        at = np.array(world.origin) + places[:MAX_LISTED, ::-1] * world.spacing
         fills: list[dict[str, Any]] = [
             {"place_mm": rounded(place), "volume_mm3": float(f"{volume:.6g}")}
-            for place, volume in zip(at, volumes[:LISTED].tolist(), strict=True)
+            for place, volume in zip(at, volumes[:MAX_LISTED].tolist(), strict=True)
         ]
         folder = context.output(self.report)
         folder.mkdir()
@@ -103,5 +103,5 @@ def _balls(world: Grid, runs: NDArray[np.int32]) -> NDArray[np.float64]:
     """A capsule for each run of voxels, (m, 7)."""
     first = np.array(world.origin) + runs[:, [2, 1, 0]] * world.spacing
     last = np.array(world.origin) + runs[:, [3, 1, 0]] * world.spacing
-    radius = np.full((len(runs), 1), REACH * world.spacing[0])
+    radius = np.full((len(runs), 1), FILL_RADIUS * world.spacing[0])
     return np.concatenate([first, last, radius], 1)

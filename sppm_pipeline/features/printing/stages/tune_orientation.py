@@ -30,10 +30,11 @@ class TuneOrientation(Stage):
     Struts and channels thinner than about two of these voxels (`voxel_mm`) are not seen, or are seen broken, and turned
     surfaces have stairs, which add up to a sixth to the supports of a ball of 92 voxels: run `check.print` on the
     layers of the orientation that is taken. `turn` of `read.mesh` turns the part only; the microstructure and drains
-    are then made anew in it, and differ from those that were scored.
+    are then made again in it, and differ from those that were scored.
     """
 
     name: ClassVar[str] = "tune.orientation"
+    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("turn", unit="degrees"), Headline("score"), Headline("score_as_is", "as it is"),
         Headline("voxel_mm", "voxels of", "mm"),
@@ -46,7 +47,7 @@ class TuneOrientation(Stage):
         (1.0, 1.0, 0.5, 0.3), help="weights of supports, cups, height and area", minimum=0, maximum=1e6
     )
     turned: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0), help="`turn` that `read.mesh` has made; what is told replaces it", unit="degrees",
+        (0.0, 0.0, 0.0), help="current `turn` of `read.mesh`; the reported `turn` replaces it", unit="degrees",
         minimum=-1e6, maximum=1e6,
     )  # fmt: skip
     overhang_angle: float = options.overhang_angle(45.0, note="which is one of the voxels")

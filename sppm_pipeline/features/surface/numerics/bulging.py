@@ -7,7 +7,7 @@ patch rises over a triangle by a third of the sum of its three edges on average.
 mean rise of its triangles, so that the mesh encloses what the surface does: along its edge of the grid, not its normal,
 so that the surface in a cube stays in it and runs into no other sheet nearby. What a vertex may not be moved its
 neighbors are, so that the volume is kept; and the surroundings of a rim get what of the solid beyond it no edge of the
-grid has told of (`rim_points`).
+grid has found (`rim_points`).
 
 The mesh comes in pieces, whose triangles have corners in their own and in the piece before. So each step of the work
 runs a piece behind the step before it, and the result is the same to the bit as that of step after step over all.
@@ -27,7 +27,8 @@ from sppm_pipeline.features.surface.numerics.bulging_sums import add_normals, ad
 from sppm_pipeline.services.grid import Grid
 
 PASSED_ON = 2
-"""How often what vertices can't be moved is passed on to their neighbors; a choice."""
+"""Rounds in which what is left of moves that are too far is passed on to neighbors, a heuristic: each round reaches one
+ring of vertices farther and takes as much time."""
 
 _Chosen = tuple[NDArray[np.int32], NDArray[np.float64]]
 

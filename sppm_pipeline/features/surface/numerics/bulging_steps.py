@@ -15,14 +15,16 @@ from sppm_pipeline.features.surface.numerics.placing import DOMAIN
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
 
-MOST = 0.3
-"""Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles in shape."""
+MAX_MOVE = 0.3
+"""Vertices are moved by at most this fraction of their shortest edge, so that triangles cannot fold (from one half on).
+At half of it more volume has to be passed on to neighbors."""
 
 LEAST_SLOPE = 0.3
-"""Least cosine between normal and grid edge that the way along the edge is reckoned with; a choice."""
+"""Least cosine between normal and grid edge with which the way along the edge is computed: it grows as the inverse, and
+is capped at about three times the rise."""
 
 NEGLIGIBLE = 3e-4
-"""What is left to move is dropped below this fraction of the spacing; so little is not worth being passed on."""
+"""Moves below this fraction of the spacing are dropped; passing them on would take time and change next to nothing."""
 
 
 _NO_AXIS = 3
@@ -90,7 +92,7 @@ def move(
             space, known = room[v], share[v] > nothing
             want = more[v]
             if wholly:
-                space = np.float32(MOST) * np.sqrt(space)
+                space = np.float32(MAX_MOVE) * np.sqrt(space)
                 want = rise[v] / share[v] if known else rise[v]
             wanted, step, slope, most = np.float64(want), steps[i], slopes[i], np.float64(space)
             asked = (wanted != 0.0) & known

@@ -34,7 +34,7 @@ def find_corners(
     points: NDArray[np.float64],
     corners: NDArray[np.float64],
 ) -> bool:
-    """Where the corners of a triangle lie, into `corners` (3, 3); whether one of them is on a rim."""
+    """Write the corners of a triangle into `corners` (3, 3); return whether one of them is on a rim."""
     on_rim = False
     for c in range(3):
         v = np.int64(faces[f, c])
@@ -198,7 +198,7 @@ def add_rises(
 
 @jit
 def _find_rises(sides: NDArray[np.float64], ends: NDArray[np.float32], n: np.uint64, out: NDArray[np.float32]) -> None:
-    """What n triangles rise times their area, twice their areas, and their squared sides, of sides and normals."""
+    """Rises of n triangles times their areas, twice their areas, and their squared sides, of sides and normals."""
     lanes = np.uint64(AT_ONCE)
     for i in range(n):
         ux, uy, uz = sides[i], sides[lanes + i], sides[2 * lanes + i]

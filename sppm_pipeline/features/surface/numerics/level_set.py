@@ -1,4 +1,4 @@
-"""manifold3d's own extractor: marching tetrahedra on a body-centered cubic lattice, fed from samples of ours.
+"""manifold3d's own extractor: marching tetrahedra on a body-centered cubic lattice, fed from samples of the field.
 
 manifold3d asks for values one by one through Python, and that is what it costs: 0.2 microseconds a value for the call
 itself. So the field is sampled beforehand, by the kernels that do that a hundred times faster, on the cubic grid of
@@ -20,7 +20,7 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import Mesh
 
 STEP = 2.0**-8
-"""How far a vertex is moved, as a fraction of the way to the middle of its neighbors."""
+"""Fraction of the way to the middle of its neighbors by which a vertex is moved."""
 
 
 def run_level_set(
@@ -56,13 +56,13 @@ def run_level_set(
     x, y, z = (float(v) for v in origin)
     box = [x, y, z, *(o + c * spacing for o, c in zip((x, y, z), cubes, strict=True))]
     inside = partial(_minus_value_at, values, x, y, z, 2.0 / spacing)
-    inside(x, y, z)  # compiled here, where a failure would be ours
-    # The lattice has as many cubes along each axis as edges fit in; a little less than the spacing makes it ours.
+    inside(x, y, z)  # compiled here, where a failure can be caught
+    # The lattice has as many cubes along each axis as edges fit in; a little less than the spacing makes it the grid's.
     made = manifold3d.Manifold.level_set(
         inside, box, spacing * (1 - 1e-9), 0.0, -1.0 if tolerance is None else tolerance
     )
     if made.num_tri():
-        # read in anew, it loses the triangles without area that the extractor leaves
+        # read again, it loses the triangles without area that the extractor leaves
         arrays = made.to_mesh64()
         made = manifold3d.Manifold(manifold3d.Mesh64(np.array(arrays.vert_properties), np.array(arrays.tri_verts)))
     arrays = made.to_mesh64()
@@ -73,7 +73,7 @@ def run_level_set(
 
 
 def lattice_samples(grid: Grid) -> int:
-    """How many values the extractor asks for on a lattice whose cubes have their corners at the nodes of `grid`."""
+    """Number of values that the extractor requests on a lattice of cubes with corners at the nodes of `grid`."""
     nx, ny, nz = grid.shape
     return nx * ny * nz + (nx + 1) * (ny + 1) * (nz + 1)
 

@@ -1,7 +1,7 @@
 """Vertices of marching cubes put where the fields that make the surface have their zeros.
 
 Marching cubes finds the topology and puts vertices where linear interpolation has the zero. A sum G of exponentials is
-far from linear over a voxel; its logarithm is smooth (that of a lone pore or squared tunnel is a parabola), and the
+far from linear over a voxel; its logarithm is smooth (that of a single pore or squared tunnel is a parabola), and the
 cubic through four samples along the grid edge has its zero nearer to the true one.
 
 The intersection of two fields is their maximum, which mixes, at the two ends of a grid edge, values of fields of
@@ -23,7 +23,7 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
 
 FIELD, DOMAIN, SKIN, BORDER = 0, 1, 2, 3
-"""What a vertex or triangle lies on: the surface of the microstructure, of the domain, of the skin, or a cap."""
+"""Surface that a vertex or triangle lies on: that of the microstructure, of the domain, of the skin, or a cap."""
 
 _AT_ONCE = 64
 """Vertices whose zeros are looked for side by side."""
@@ -58,7 +58,7 @@ class Samples(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Where vertices lie.
+    """Places of vertices.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ def sample_line(values: NDArray[np.float32], k: int, j: int, i: int, axis: int, 
 
 @jit
 def _cubic_zeros(work: NDArray[np.float64], n: int) -> None:
-    """Where cubics that have the values a, b, c, d at -1, 0, 1, 2 vanish between b and c, which differ in sign.
+    """Zeros of cubics that have the values a, b, c, d at -1, 0, 1, 2, between b and c, which differ in sign.
 
     `work` holds a, b, c and d of up to `_AT_ONCE` cubics, one row behind the other, and gets the zeros in the row that
     follows; three more rows are for coefficients, and two for the ends between which a zero lies. Cubics are worked on

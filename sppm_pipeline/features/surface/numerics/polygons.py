@@ -76,7 +76,7 @@ def _volume(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float6
 
 @jit
 def crossing(triangles: NDArray[np.int64], count: int, places: NDArray[np.float64]) -> bool:
-    """Whether a side of one of the triangles, whose corners are rows of `places`, passes through another one."""
+    """Return whether a side of one of the triangles, whose corners are rows of `places`, passes through another one."""
     for t in range(count):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         for s in range(count):

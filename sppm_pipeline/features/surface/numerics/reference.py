@@ -1,4 +1,4 @@
-"""The independent extractor that ours is tested against: scikit-image's marching cubes after Lewiner et al. (2003)."""
+"""Independent extractor for tests of `marching_cubes`: scikit-image's, after Lewiner et al. (2003)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def marching_cubes_reference(
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Mesh:
-    """What `marching_cubes` does, by scikit-image; ambiguous faces are decided by the trilinear interpolant instead.
+    """Isosurface by scikit-image; ambiguous faces are decided by the trilinear interpolant instead.
 
     Samples equal to the level are raised to the next float32 above, where scikit-image would open edges.
 

@@ -18,11 +18,12 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
 
 SHARP = math.cos(math.radians(25.0))
-"""Triangles of the domain whose normals differ by more meet in a sharp edge; a choice."""
+"""Triangles of the domain whose normals differ by more meet in a sharp edge, a heuristic: cylinders of 15 or more faces
+are smooth. At half the angle facets of coarse meshes get rims of their own, at twice it chamfers are rounded."""
 
 
 class Surfaces(NamedTuple):
-    """What meets in a part, as compiled code takes it; see `placing.Samples` and `crossings.Crossings`.
+    """Surfaces that meet in a part, as compiled code takes them; see `placing.Samples` and `crossings.Crossings`.
 
     Attributes
     ----------
@@ -94,7 +95,7 @@ def edge_node(edge: int, nx: int, ny: int, node: NDArray[np.int64]) -> int:
 
 @jit
 def _solid(surfaces: Surfaces, i: int, j: int, k: int) -> bool:
-    """Whether a node is solid, islands included."""
+    """Return whether a node is solid, islands included."""
     field, domain, skin = surfaces.field, surfaces.domain, surfaces.skin
     k -= surfaces.shape[3]
     return domain[k, j, i] < 0.0 and (field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0))
@@ -115,7 +116,7 @@ def _case_of_cube(cube: NDArray[np.int64], surfaces: Surfaces) -> int:
 
 @jit
 def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: float) -> bool:
-    """Whether a place (p, q) in a face of the unit cube keeps apart what its `separations` (3, 4) keep apart."""
+    """Return whether a place (p, q) in a face of the unit cube keeps apart what its `separations` (3, 4) keep apart."""
     for plane in range(3):
         a, b, c = planes[plane, axis], planes[plane, (axis + 1) % 3], planes[plane, (axis + 2) % 3]
         if a * side + b * p + c * q > planes[plane, 3]:
@@ -125,7 +126,7 @@ def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: flo
 
 @jit
 def _passed_twice(corner: NDArray[np.int64], p: int, q: int, surfaces: Surfaces) -> bool:
-    """Whether the surface crosses all four sides of the face at a node that axes p and q span."""
+    """Return whether the surface crosses all four sides of the face at a node that axes p and q span."""
     case = 0
     at = corner.copy()
     for turn in range(4):
@@ -146,7 +147,7 @@ def _lost_beyond(
 ) -> float:
     """Area in a face between a surface and the rim it really reaches, which lies beyond the end of the face.
 
-    The solid goes on along the line from start to end: no edge of the grid tells that, as it is void at both of its
+    The solid goes on along the line from start to end: no edge of the grid shows that, as it is void at both of its
     ends. The rim is looked for up to a voxel beyond, where the samples reach.
     """
     dp, dq = end[0] - start[0], end[1] - start[1]

@@ -30,7 +30,8 @@ from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
 from sppm_pipeline.services.mesh.marching_tables import separations
 
 _CENTER = np.int64(1) << np.int64(62)
-_MOST = 48  # vertices of a polygon with its rim points: 12 edges of a cube, and as many points; pieces share the room
+# of a polygon with its rim points: 12 edges of a cube, and as many points, twice, as pieces share the room
+_MAX_CORNERS = 48
 
 
 class Split(NamedTuple):
@@ -124,12 +125,12 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         separations(),
     )
     polygon = _Polygon(
-        np.empty(_MOST, np.int64),
-        np.empty(_MOST, np.int64),
-        np.empty((_MOST, 3)),
-        np.empty(_MOST, np.bool_),
-        np.empty((_MOST, 3), np.int64),
-        np.empty(_MOST, np.uint8),
+        np.empty(_MAX_CORNERS, np.int64),
+        np.empty(_MAX_CORNERS, np.int64),
+        np.empty((_MAX_CORNERS, 3)),
+        np.empty(_MAX_CORNERS, np.bool_),
+        np.empty((_MAX_CORNERS, 3), np.int64),
+        np.empty(_MAX_CORNERS, np.uint8),
     )
     m, n, k = _split(faces, mixed, first, placed, surfaces, polygon, out)
     return Split(
@@ -227,7 +228,7 @@ def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], 
 
     The cut is the line from one point to the other; with a single point nothing is cut.
     """
-    part = np.empty(_MOST, np.int64)
+    part = np.empty(_MAX_CORNERS, np.int64)
     one, two = -1, -1
     for s in range(size):
         if polygon.is_rim[s]:
@@ -271,7 +272,7 @@ def _move_to_corner(
     Elsewhere the middle of the rim points is on the rims, and within the domain.
     """
     on, triangle, normals, spacing = placed.on, placed.triangle, surfaces.normals, surfaces.spacing
-    plane_points, plane_normals = np.empty((_MOST, 3)), np.empty((_MOST, 3))
+    plane_points, plane_normals = np.empty((_MAX_CORNERS, 3)), np.empty((_MAX_CORNERS, 3))
     planes = int(np.int64(0))
     sharp, one_of = False, np.int32(-1)
     i, j, k = cube[0], cube[1], cube[2] - surfaces.shape[3]

@@ -1,4 +1,4 @@
-"""How many vertices and triangles marching cubes will make, and how far they reach, from the runs of the solid.
+"""Numbers of vertices and triangles that marching cubes will make, and their box, from the runs of the solid.
 
 Exact, as both depend on the signs of the samples alone; so a file can begin with the counts before there is a mesh.
 """
@@ -20,7 +20,7 @@ _ALL, _LAST = np.uint64(0xFFFFFFFFFFFFFFFF), np.int64(63)
 
 
 class Counts(NamedTuple):
-    """What a mesh will be made of.
+    """Counts of a mesh to come.
 
     Attributes
     ----------

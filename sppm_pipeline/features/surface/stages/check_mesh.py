@@ -12,7 +12,7 @@ from sppm_pipeline import ConfigError, Context, InputError, Length, Palette, Rej
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.meshcheck.report import MeshReport
 
-LISTED = 20
+MAX_LISTED = 20
 """Components and holes that are listed one by one, the largest first."""
 
 
@@ -173,9 +173,9 @@ def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
         "open_edges": m.edges.boundary,
         "unmerged_vertices": found.unmerged_vertices,
         "holes": len(found.boundary_loops.edges),
-        "hole_edges": found.boundary_loops.edges[:LISTED],
-        "hole_lengths_mm": found.boundary_loops.lengths[:LISTED],
-        "hole_sizes_mm": found.boundary_loops.sizes[:LISTED],
+        "hole_edges": found.boundary_loops.edges[:MAX_LISTED],
+        "hole_lengths_mm": found.boundary_loops.lengths[:MAX_LISTED],
+        "hole_sizes_mm": found.boundary_loops.sizes[:MAX_LISTED],
         "components": m.components,
         "euler_number": m.euler,
         "genus": None if found.genus is None else int(found.genus.sum()),
@@ -190,10 +190,10 @@ def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
         "upper_mm": m.high,
     }
     if found.genus is not None:
-        numbers["genus_of_surfaces"] = np.sort(found.genus)[::-1][:LISTED]
+        numbers["genus_of_surfaces"] = np.sort(found.genus)[::-1][:MAX_LISTED]
     if found.shells is not None:
         volumes = found.shells.volumes
-        numbers["component_volumes_mm3"] = volumes[np.argsort(-np.abs(volumes), kind="stable")][:LISTED]
+        numbers["component_volumes_mm3"] = volumes[np.argsort(-np.abs(volumes), kind="stable")][:MAX_LISTED]
         numbers["cavities"] = int(found.shells.cavities.sum())
         numbers["cavity_mm3"] = float(np.abs(volumes[found.shells.cavities]).sum())
         numbers["shells_inside_others"] = found.buried

@@ -37,7 +37,7 @@ from sppm_pipeline.services.grid import Grid
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
-COARSER = 1.75
+TRIANGLES_RATIO = 1.75
 """Triangles over those of marching cubes at as many edges along an edge of the cell."""
 
 
@@ -51,6 +51,7 @@ class ManifoldSdf(Stage):
     """
 
     name: ClassVar[str] = "extract.manifold_sdf"
+    libraries: ClassVar[tuple[str, ...]] = ("manifold3d",)
     advice: ClassVar[str] = "lower `resolution`, or use `extract.marching_cubes`"
 
     resolution: int | None = options.resolution(
@@ -70,7 +71,7 @@ class ManifoldSdf(Stage):
         maximum=1e6,
         formerly="tolerance",
     )
-    islands: str = options.islands("remove")
+    islands: str = options.islands("auto")
     time_limit: float = options.time_limit(600.0, note="there is one for every surface and every cut")
 
     def check_options(self) -> None:
@@ -79,7 +80,7 @@ class ManifoldSdf(Stage):
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         n = expected_voxels(field.body.edge_mm, self.resolution, self.voxel)
-        return field.grid(n, triangles=COARSER * field.body.triangles(n))
+        return field.grid(n, triangles=TRIANGLES_RATIO * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, check; in mm (cell sizes for a cell without a size)."""
@@ -145,13 +146,15 @@ class ManifoldSdf(Stage):
 
     def _without_islands(self, context: Context, made: Mesh) -> Mesh:
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
+        from sppm_pipeline.method.connectivity.removal import report_removal
 
         shells = find_shells(*made)
         context.report(bodies=shells.bodies, cavities=shells.cavities)
         if self.islands == "keep":
             return made
         kept = largest_body(*made, shells)
-        context.report(removed_share=1 - float(find_shells(*kept).volumes.sum() / shells.volumes.sum()))
+        removed = 1 - float(find_shells(*kept).volumes.sum() / shells.volumes.sum())
+        report_removal(context, removed, self.islands)
         return kept
 
     def _samples(self, context: Context, field: ScalarField, grid: Grid) -> NDArray[np.float32]:

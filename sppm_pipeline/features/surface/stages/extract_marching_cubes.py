@@ -33,14 +33,16 @@ from sppm_pipeline.features.surface.field_surface import (
 )
 from sppm_pipeline.features.surface.mesh_store import MeshStore
 from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceWindow
+from sppm_pipeline.method.connectivity.removal import removal_warning
 from sppm_pipeline.method.nouns.mesh_pieces import PieceTaker
-from sppm_pipeline.method.part.part import node_grid
+from sppm_pipeline.method.part.part import islands_for, node_grid
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
 
 MEMORY_SHARE = 4
-"""A mesh larger than this fraction of the memory to plan with goes into temporary files; a choice."""
+"""A mesh larger than the memory limit over this number goes into temporary files, a heuristic: stages after it may hold
+copies. At 2 these may exceed the limit, at 8 more meshes go by way of the disk, which is slower."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +71,7 @@ class MarchingCubes(Stage):
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"
     )
-    islands: str = options.islands("remove")
+    islands: str = options.islands("auto", note="auto yields to that of a part")
     exact: bool = options.exact(False)
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
@@ -88,13 +90,16 @@ class MarchingCubes(Stage):
         n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
-        surface = FieldSurface(field.exactly() if self.exact else field, node_grid(field, n), self.islands, self.caps)
+        islands = islands_for(field, self.islands)
+        surface = FieldSurface(field.exactly() if self.exact else field, node_grid(field, n), islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         if self.backend == "reference":
             made = _by_reference(surface, context, scale, field.origin_mm)
         else:
             made = _compiled(surface, context, scale, field.origin_mm)
         context.report(resolution=n, voxel=scale / n, **made.findings)
+        if warning := removal_warning(made.findings.get("removed_share", 0.0)):
+            context.warn(warning)
         if not made.counts[1]:
             raise DesignError(
                 "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
@@ -126,11 +131,11 @@ def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tup
 
     pieces = stream()
     readers: Sequence[PieceTaker] = context.begin_readers()
-    foreseen = pieces.foreseen() if readers else None
-    if foreseen is None or not foreseen.faces:
+    predicted = pieces.predicted() if readers else None
+    if predicted is None or not predicted.faces:
         return _stored(pieces, context, scale, origin)
     try:
-        if all(reader.begin(foreseen.moved(scale, np.array(origin))) for reader in readers):
+        if all(reader.begin(predicted.moved(scale, np.array(origin))) for reader in readers):
             if (given := _handed_on(pieces, readers, scale, origin)) is not None:
                 return given
             pieces = stream()
@@ -146,7 +151,7 @@ def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tup
 def _handed_on(
     pieces: MeshStream, readers: Sequence[PieceTaker], scale: float, origin: tuple[float, float, float]
 ) -> _Extracted | None:
-    """Give away all pieces; None if a reader finds that the mesh is not as foreseen."""
+    """Give away all pieces; None if a reader finds that the mesh is not as predicted."""
     from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
 
     measures, window = StreamedMeasures(scale, np.array(origin)), PieceWindow(scale, np.array(origin))

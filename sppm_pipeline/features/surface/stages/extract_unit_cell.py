@@ -31,7 +31,7 @@ class UnitCell(Stage):
     version: ClassVar[int] = 3
 
     resolution: int = options.resolution(32, minimum=4)
-    islands: str = options.islands("remove")
+    islands: str = options.islands("auto")
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         one, n = field.in_box((1.0, 1.0, 1.0)), self.resolution

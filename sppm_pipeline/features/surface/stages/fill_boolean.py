@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
     Context,
     DesignError,
+    InputError,
     Length,
     Palette,
     Part,
@@ -34,6 +36,9 @@ from sppm_pipeline.method.part.part import node_grid
 BOOLEAN_BYTES = 600
 """Bytes for each triangle that goes into a Boolean, its own arrays and those of the result included; measured."""
 
+OVERLAP = 1e-9
+"""Volume that shells of the domain share, as a fraction of all, above which they are united; less is rounding."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BooleanFill(Stage):
@@ -42,10 +47,11 @@ class BooleanFill(Stage):
     The result is a mesh in which the part's own surface is kept exactly, sharp edges included. It costs memory and time
     for every triangle; `fill.implicit` needs neither and is the way to layers. The skin is what a Boolean with a second
     mesh, offset inwards, would leave: the offset is a level set of the distance from the part's surface, exact to
-    within a fraction of a voxel.
+    within a fraction of a voxel. Shells of the part that overlap are united first.
     """
 
     name: ClassVar[str] = "fill.boolean"
+    libraries: ClassVar[tuple[str, ...]] = ("manifold3d",)
     advice: ClassVar[str] = "lower `resolution`, or use `fill.implicit`, which needs no mesh"
     version: ClassVar[int] = 3
 
@@ -58,7 +64,7 @@ class BooleanFill(Stage):
         formerly="spacing",
     )
     skin: Length | None = options.skin(None, above=0, maximum=1e6)
-    islands: str = options.islands("remove", note="in the finished part")
+    islands: str = options.islands("auto", note="in the finished part")
     time_limit: float = options.time_limit(600.0, note="there is one for the Boolean")
 
     def check_options(self) -> None:
@@ -77,10 +83,12 @@ class BooleanFill(Stage):
         """Extract, predict the memory, intersect, check."""
         from sppm_pipeline.features.surface.numerics.booleans import check_solid
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
+        from sppm_pipeline.method.connectivity.removal import report_removal
         from sppm_pipeline.services.mesh.measures import volume
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)
+        domain = _without_overlaps(domain, ManifoldLimits(self.time_limit, child_memory(context.memory_limit)))
         n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
@@ -113,7 +121,42 @@ class BooleanFill(Stage):
         shells = find_shells(*made)
         whole = float(shells.volumes.sum())
         context.report(bodies=shells.bodies, cavities=shells.cavities)
-        if self.islands == "remove":
+        if self.islands != "keep":
             made = largest_body(*made, shells)
-            context.report(removed_share=1 - volume(*made) / whole)
+            report_removal(context, 1 - volume(*made) / whole, self.islands)
         return SurfaceMesh(*made, name=domain.name)
+
+
+def _without_overlaps(domain: SurfaceMesh, limits: ManifoldLimits) -> SurfaceMesh:
+    """The domain with its shells united where they overlap, which manifold3d would count twice.
+
+    Raises
+    ------
+    InputError
+        If one shell runs through itself, or a hollow of one lies in the solid of another.
+    """
+    from sppm_pipeline.services.mesh.measures import volume
+    from sppm_pipeline.services.mesh.orientation import shells
+
+    outer, summed = domain.outer_surface, volume(domain.vertices, domain.faces)
+    if outer is None or abs(summed - outer.volume) <= OVERLAP * summed:
+        return domain
+    found = shells(domain.vertices, domain.faces)
+    united: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
+    # a hollow is smaller than the shell that it is in, and larger than a body within it
+    for number in np.argsort(-np.abs(found.volumes), kind="stable"):
+        faces = domain.faces[found.labels == number]
+        hollow = found.volumes[number] < 0
+        shell = domain.vertices, np.ascontiguousarray(faces[:, ::-1] if hollow else faces)
+        names = domain.name, f"shell {number} of {domain.name}"
+        united = (
+            manifold_combine(united, shell, "difference" if hollow else "union", names, limits).mesh
+            if united is not None
+            else shell
+        )
+    if united is None or abs(volume(*united) - outer.volume) > 1e3 * OVERLAP * outer.volume:
+        raise InputError(
+            f"{domain.name} overlaps itself in a way that manifold3d cannot unite",
+            hint="use `fill.implicit`, which unites any overlaps, or repair the mesh with `mesh.repair`",
+        )
+    return SurfaceMesh(*united, domain.name)

@@ -24,6 +24,7 @@ class Combine(Stage):
     """
 
     name: ClassVar[str] = "fill.combine"
+    libraries: ClassVar[tuple[str, ...]] = ("manifold3d",)
     advice: ClassVar[str] = "give meshes with fewer triangles"
 
     operation: str = option(

@@ -33,6 +33,7 @@ class HomogenizeTet(Stage):
     """
 
     name: ClassVar[str] = "homogenize.tet"
+    libraries: ClassVar[tuple[str, ...]] = ("pyamg",)
     version: ClassVar[int] = 3
     reported: ClassVar[tuple[str, ...]] = ()
     requires: ClassVar[Mapping[str, tuple[str, str]]] = {

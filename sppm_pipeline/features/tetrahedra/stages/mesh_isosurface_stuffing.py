@@ -30,7 +30,7 @@ class IsosurfaceStuffing(Stage):
     )  # fmt: skip
 
     resolution: int = options.resolution(32, note="here cubes of a lattice", minimum=4, maximum=512)
-    islands: str = options.islands("remove", note="that is, solid that shares no face with the rest")
+    islands: str = options.islands("auto", note="that is, solid that shares no face with the rest")
     order: int = option(
         1, help="1: straight tetrahedra; 2: quadratic, with a node in the middle of each edge", minimum=1, maximum=2
     )
@@ -52,6 +52,7 @@ class IsosurfaceStuffing(Stage):
         from sppm_pipeline.features.tetrahedra.numerics.quadratic import with_mid_nodes
         from sppm_pipeline.features.tetrahedra.numerics.quality import quality
         from sppm_pipeline.features.tetrahedra.numerics.stuffing import require_room, stuff, without_islands
+        from sppm_pipeline.method.connectivity.removal import report_removal
 
         n, h = self.resolution, 1.0 / self.resolution
         if (coarse := field.coarseness(h)) is not None:
@@ -74,9 +75,10 @@ class IsosurfaceStuffing(Stage):
         if not len(made.tets):
             raise DesignError("the solid is too thin for this grid: nothing is left of it", hint="refine the grid")
         removed = 0.0
-        if self.islands == "remove":
+        if self.islands != "keep":
             made, removed = without_islands(made)
-        context.report(removed_share=removed, put_back=made.put_back)
+        report_removal(context, removed, self.islands, "a finer grid")
+        context.report(put_back=made.put_back)
         scale, origin = field.edge_mm or 1.0, np.array(field.origin_mm)
         nodes, box = ((low + v) * h * scale + origin for v in (made.nodes, np.array([[0, 0, 0], [nx, ny, nz]])))
         shape = quality(nodes, made.tets)

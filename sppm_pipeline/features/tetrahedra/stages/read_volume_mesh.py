@@ -33,6 +33,7 @@ class ReadVolumeMesh(Stage):
     """
 
     name: ClassVar[str] = "read.volume_mesh"
+    libraries: ClassVar[tuple[str, ...]] = ("meshio",)
 
     path: Path = options.read_path(note=".vtu, .vtk, .inp or .msh")
     unit: str = options.unit("mm")

@@ -52,6 +52,7 @@ class WallsField(Stage):
     """
 
     name: ClassVar[str] = "field.walls"
+    libraries: ClassVar[tuple[str, ...]] = ("networkx",)
     reported: ClassVar[tuple[str, ...]] = (
         "thickness", "tunnel_radius", "thinnest_tunnel", "rounding", "mean_pore_distance", "missed",
     )  # fmt: skip
@@ -69,7 +70,7 @@ class WallsField(Stage):
 
     def estimate(self, palette: Palette, graph: Size) -> Size:
         cell = graph.cell
-        length, half, radius, rounding = self._sizes(Cell(cell.edge, cell.edge_mm is not None), cell.pores)
+        length, half, radius, rounding = self._sizes(cell.cell, cell.pores)
         porosity, surface = expected_walls(length, half, radius, cell.tunnels)
         # every sample is compared with the faces of a Voronoi cell; no patches are shared, whatever repeats
         work = FACES * ROUNDED if rounding else FACES

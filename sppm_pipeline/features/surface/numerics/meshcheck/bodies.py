@@ -107,7 +107,7 @@ def _volumes(
 def _winding(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], which: NDArray[np.int64], at: NDArray[np.float64]
 ) -> float:
-    """How often some triangles enclose a point: the sum of their solid angles (van Oosterom and Strackee, 1983)."""
+    """Winding number of triangles around a point, the sum of their solid angles (van Oosterom and Strackee, 1983)."""
     total = 0.0
     p, r = np.empty((3, 3)), np.empty(3)
     for i in which:

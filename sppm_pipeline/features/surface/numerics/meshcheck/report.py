@@ -67,12 +67,12 @@ class MeshReport(NamedTuple):
 
     @property
     def watertight(self) -> bool:
-        """Whether no edge is left over when triangles are paired across edges."""
+        """Return whether no edge is left over when triangles are paired across edges."""
         return self.odd_edges == 0
 
     @property
     def manifold(self) -> bool:
-        """Whether no edge has more than two triangles, and no vertex more than one fan of them."""
+        """Return whether no edge has more than two triangles, and no vertex more than one fan of them."""
         return self.measures.edges.non_manifold == 0 and self.non_manifold_vertices == 0
 
     @property
@@ -86,7 +86,7 @@ class MeshReport(NamedTuple):
 
     @property
     def outward(self) -> bool:
-        """Whether no triangle has to be turned."""
+        """Return whether no triangle has to be turned."""
         return self.orientation.turned == 0 and self.orientation.one_sided == 0
 
 

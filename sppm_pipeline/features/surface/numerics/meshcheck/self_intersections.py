@@ -78,7 +78,7 @@ def _flat(triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 @jit
 def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
-    """Whether the boxes of two triangles do not even touch."""
+    """Return whether the boxes of two triangles do not even touch."""
     t, s = triangles[i], triangles[j]
     for a in range(3):
         if min(t[0, a], t[1, a], t[2, a]) > max(s[0, a], s[1, a], s[2, a]):
@@ -151,7 +151,7 @@ def _pairs(
 
 @jit
 def is_flat(t: NDArray[np.float64]) -> bool:
-    """Whether the corners of a triangle (3, 3) lie on one line, exactly."""
+    """Return whether the corners of a triangle (3, 3) lie on one line, exactly."""
     return _projection(t) < 0
 
 
@@ -167,7 +167,7 @@ def _projection(t: NDArray[np.float64]) -> int:
 
 @jit
 def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[np.float64]) -> bool:
-    """Whether segment pq, in the plane of triangle t, meets it."""
+    """Return whether segment pq, in the plane of triangle t, meets it."""
     axis = _projection(t)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     p_low, p_high, q_low, q_high = 1, -1, 1, -1
@@ -190,7 +190,7 @@ def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[n
 def _segment_meets(
     p: NDArray[np.float64], q: NDArray[np.float64], of_p: int, of_q: int, t: NDArray[np.float64]
 ) -> bool:
-    """Whether segment pq meets triangle t; given are the sides of its plane on which p and q lie."""
+    """Return whether segment pq meets triangle t; given are the sides of its plane on which p and q lie."""
     if of_p * of_q > 0:
         return False
     if of_p == 0 and of_q == 0:
@@ -206,7 +206,7 @@ def _segment_meets(
 
 @jit
 def triangles_meet(t: NDArray[np.float64], s: NDArray[np.float64]) -> bool:
-    """Whether two triangles (3, 3), neither of them flat, meet beyond the corners they share.
+    """Return whether two triangles (3, 3), neither of them flat, meet beyond the corners they share.
 
     Corners are shared if their coordinates are equal. Triangles that share all three lie on each other: they meet.
     """

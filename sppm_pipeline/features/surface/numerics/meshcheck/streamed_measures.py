@@ -61,7 +61,7 @@ class StreamedMeasures:
 
     @property
     def balanced(self) -> bool:
-        """Whether every edge runs as often in one direction as in the other; not without triangles."""
+        """Return whether every edge runs as often in one direction as in the other; not without triangles."""
         return self._start is not None and self._balance == 0
 
     @property
