@@ -1,18 +1,23 @@
-"""Files and folders as the engine handles them: digests, sizes, writing whole or not at all."""
+"""Files and folders of runs: digests, sizes, writing whole or not at all.
+
+Every call that may change a finished file of a run is here, so that a test can let each of them fail.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import shutil
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from sppm_pipeline.errors import ResourceError
 
-_AT_ONCE = 1 << 16
-"""Bytes of the files that are read in one step."""
+_CHUNK = 1 << 16
+"""Files of fewer bytes are read in one step; not sensitive: nearly all pictures of layers are smaller."""
 
 DISK = "make room on the disk, or choose another place with -o; the same command again goes on"
 
@@ -57,8 +62,8 @@ def digest_of(path: Path) -> str:
 def file_digest(path: str | Path) -> tuple[str, int]:
     """SHA-256 and size of a file."""
     with open(path, "rb", buffering=0) as file:
-        data = file.read(_AT_ONCE)
-        if len(data) < _AT_ONCE and not file.read(1):  # nearly all are, and need no buffer
+        data = file.read(_CHUNK)
+        if len(data) < _CHUNK and not file.read(1):  # nearly all are, and need no buffer
             return hashlib.sha256(data).hexdigest(), len(data)
         file.seek(0)
         return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
@@ -90,14 +95,86 @@ def clear(path: Path) -> None:
         os.rmdir(path)
 
 
+_NO_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP})
+"""Errors of a file system that can't sync this kind of file; its data are then as safe as it makes them."""
+
+
 def sync(path: str | Path) -> None:
-    """Wait until the disk has a file, where the file system can tell; else its digest says whether it is whole."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+    """Wait until the disk has a file, or the names in a folder, where the file system can do that.
+
+    Raises
+    ------
+    OSError
+        If the disk failed: data may be lost though every write to the file succeeded.
+    """
+    if os.name == "nt" and os.path.isdir(path):  # folders can't be opened there
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        _sync_open(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_open(descriptor: int) -> None:
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
+
+
+def sync_file_system(path: str | Path) -> bool:
+    """Wait until the disk has everything of the file system in which `path` lies; False where there is no syncfs(2).
+
+    Raises
+    ------
+    OSError
+        If the disk failed, since Linux 5.8 also if it did so before this call.
+    """
+    if sys.platform != "linux":
+        return False
+    import ctypes
+
+    libc = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(libc, "syncfs"):
+        return False
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        if libc.syncfs(descriptor) != 0 and (number := ctypes.get_errno()) not in _NO_SYNC:
+            raise OSError(number, os.strerror(number), os.fspath(path))
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def make_folder(path: Path) -> set[Path]:
+    """Make a folder and those above it; the folders with new names in them, which `sync` makes lasting."""
+    missing = [folder for folder in (path, *path.parents) if not folder.is_dir()]
+    path.mkdir(parents=True, exist_ok=True)
+    return {folder.parent for folder in missing}
+
+
+def put_into_place(staged: Path, final: Path, aside: Callable[[], Path]) -> set[Path]:
+    """Move a finished file or folder to its name, over what an earlier run left there.
+
+    Parameters
+    ----------
+    staged, final : Path
+        On one file system.
+    aside : function
+        A path for what makes way: only a file takes the place of a file in one step.
+
+    Returns
+    -------
+    set of Path
+        Folders with new names in them, which `sync` makes lasting.
+    """
+    changed = {final.parent, *make_folder(final.parent)}
+    if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
+        os.replace(final, aside())
+    os.replace(staged, final)
+    return changed
 
 
 def write_whole(path: Path, text: str, *, durable: bool = True, mode: int | None = None) -> None:
@@ -118,8 +195,11 @@ def write_whole(path: Path, text: str, *, durable: bool = True, mode: int | None
             file.write(text)
             file.flush()
             if durable:
-                os.fsync(file.fileno())
+                _sync_open(file.fileno())
         os.replace(temporary, path)
+        if durable:
+            sync(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
         raise ResourceError(f"can't write {str(path)!r}: {error.strerror}", hint=DISK) from error

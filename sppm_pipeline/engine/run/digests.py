@@ -7,18 +7,18 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from sppm_pipeline.engine.files import file_digest, files_in, sync, tree_digest
+from sppm_pipeline.engine.files import file_digest, files_in, sync, sync_file_system, tree_digest
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
 _AnyPath = TypeVar("_AnyPath", bound="str | Path")
 
-_TOGETHER = 16
-"""Files that one task reads or waits for."""
+_FILES_PER_TASK = 16
+"""Files that one task of the threads reads or syncs; not sensitive: enough that the queue costs nothing."""
 
 MAX_SYNCED = 4096
-"""Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
+"""Files that are synced one by one; more are by one syncfs(2) at the end, as each file costs the disk a commit."""
 
 
 class WrittenFiles:
@@ -35,10 +35,13 @@ class WrittenFiles:
         self._sums: dict[str, str] = {}
         self._hashed: dict[str, tuple[int, int, str]] = {}
         self._syncing: list[Future[None]] = []
+        self._folders: set[str] = set()
+        self._unsynced: list[str] = []
+        self._begun = 0
         self._pool: ThreadPoolExecutor | None = None
 
     def hashed(self, name: str, path: Path, sha256: str) -> None:
-        """Take the digest of a file from whoever wrote it; it counts as long as the file is left as it is."""
+        """Take the digest of a file from its writer; it counts as long as the file is left as it is."""
         about = path.stat()
         self._hashed[name] = (about.st_size, about.st_mtime_ns, sha256)
 
@@ -74,17 +77,41 @@ class WrittenFiles:
             if any(name == output or name.startswith(f"{output}/") for output in outputs)
         )
 
-    def sync(self, path: Path) -> None:
-        """Begin to wait until the disk has an output."""
-        files = [os.path.join(path, inside) for inside in files_in(path)] if path.is_dir() else [path]
-        for part in _parts(files[:MAX_SYNCED]):
+    def sync(self, path: Path, renamed_in: Collection[Path] = ()) -> None:
+        """Begin to wait until the disk has an output, and remember the folders whose names have changed."""
+        inside = files_in(path) if path.is_dir() else None
+        files = [str(path)] if inside is None else [os.path.join(path, name) for name in inside]
+        self.changed(renamed_in)
+        if inside is not None:
+            self._folders |= {str(path), *(os.path.dirname(file) for file in files)}
+        left = max(0, MAX_SYNCED - self._begun)
+        self._begun += len(files)
+        self._unsynced += files[left:]
+        for part in _parts(files[:left]):
             self._syncing.append(self._workers().submit(_sync_all, part))
 
+    def changed(self, folders: Collection[Path]) -> None:
+        """Remember folders in which names have changed."""
+        self._folders |= {os.fspath(folder) for folder in folders}
+
     def settle(self) -> None:
-        """Wait until the disk has all of them."""
-        for job in self._syncing:
-            job.result()
+        """Wait until the disk has all of them.
+
+        Raises
+        ------
+        OSError
+            If it failed to take one.
+        """
+        # every job is waited for, so that none touches a file after an error was reported
+        errors = [error for job in self._syncing if (error := job.exception()) is not None]
         self._syncing.clear()
+        if errors:
+            raise errors[0]
+        if self._unsynced and not sync_file_system(os.path.dirname(self._unsynced[0])):
+            _sync_all(self._unsynced)
+        self._unsynced.clear()
+        _sync_all(sorted(self._folders))
+        self._folders.clear()
 
     def close(self) -> None:
         """End the threads, whatever they still wait for."""
@@ -101,7 +128,7 @@ class WrittenFiles:
 
 
 def _parts(paths: Sequence[_AnyPath]) -> list[Sequence[_AnyPath]]:
-    return [paths[first : first + _TOGETHER] for first in range(0, len(paths), _TOGETHER)]
+    return [paths[first : first + _FILES_PER_TASK] for first in range(0, len(paths), _FILES_PER_TASK)]
 
 
 def _sync_all(paths: Sequence[str | Path]) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.config.names import REPORT, collide, folded, output_parts
 from sppm_pipeline.engine.config.names import STAGING as _STAGING
-from sppm_pipeline.engine.files import DISK, clear, remove, size_of, write_whole
+from sppm_pipeline.engine.files import DISK, clear, make_folder, put_into_place, remove, size_of, write_whole
 from sppm_pipeline.engine.locks import CLAIM, FolderLock
 from sppm_pipeline.engine.run.digests import WrittenFiles
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
@@ -74,7 +74,7 @@ class RunFolder:
         try:
             if self.path.exists() and not self.path.is_dir():
                 raise ConfigError(f"{str(self.path)!r} is a file, not a run directory", hint="choose another with -o")
-            self.path.mkdir(parents=True, exist_ok=True)
+            self._files.changed(make_folder(self.path))
             if not os.access(self.path, os.W_OK | os.X_OK):
                 raise PermissionError(13, "Permission denied")
             if not self._folder_lock.acquire():
@@ -90,7 +90,7 @@ class RunFolder:
                 )
             _remove_unfinished(self.path)
             self.earlier = set(_recorded_outputs(self.path))
-            (self.path / REPORT).unlink(missing_ok=True)  # it would tell of the run before
+            remove(self.path / REPORT)  # it describes the earlier run
         except OSError as error:
             self._folder_lock.release()
             raise ResourceError(
@@ -159,12 +159,9 @@ class RunFolder:
             outputs = [self._files.described(name, staged) for name, staged in pending.items()]
             for name, staged in pending.items():
                 final = self.path / name
-                final.parent.mkdir(parents=True, exist_ok=True)
-                if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
-                    os.replace(final, self._aside())  # only files take each other's place in one step
-                os.replace(staged, final)
-                self._files.sync(final)
+                self._files.sync(final, put_into_place(staged, final, self._aside))
         except OSError as error:
+            self.earlier |= set(pending)  # some are in place, and no stage accounts for them
             raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}", hint=DISK) from error
         self.earlier -= set(pending)
         return outputs
@@ -189,7 +186,7 @@ class RunFolder:
         return True
 
     def hashed(self, name: str, sha256: str) -> None:
-        """Take the digest of a staged file from whoever wrote it; it counts as long as the file is left as it is."""
+        """Take the digest of a staged file from its writer; it counts as long as the file is left as it is."""
         name = "/".join(output_parts(name))
         with self._lock:
             self._files.hashed(name, self._pending[name], sha256)
@@ -204,23 +201,33 @@ class RunFolder:
         return Scratch(self._aside())
 
     def settle(self) -> None:
-        """Wait until the disk has what was written, and remove what only an earlier run accounts for."""
-        self._files.settle()
-        for name in sorted(self.earlier):
-            path = self.path / name
-            remove(path)
-            for parent in path.parents:
-                if parent == self.path:
-                    break
-                with contextlib.suppress(OSError):
-                    parent.rmdir()
+        """Wait until the disk has what was written, and remove what only an earlier run accounts for.
+
+        Raises
+        ------
+        ResourceError
+            If the disk failed to take it, or a file can't be removed.
+        """
+        try:
+            self._files.settle()
+            for name in sorted(self.earlier):
+                path = self.path / name
+                remove(path)
+                for parent in path.parents:
+                    if parent == self.path:
+                        break
+                    with contextlib.suppress(OSError):
+                        parent.rmdir()
+        except OSError as error:
+            place = f" {error.filename!r}" if error.filename is not None else f" a file of {str(self.path)!r}"
+            raise ResourceError(f"the disk failed to keep{place}: {error.strerror}", hint=DISK) from error
         self.earlier.clear()
 
     def write_sums(self, outputs: Collection[str]) -> dict[str, Any] | None:
         """List the digests of all files of these outputs in ``SHA256SUMS``, as ``sha256sum -c`` reads it."""
         text = self._files.sums(outputs)
         if not text:
-            (self.path / SUMS).unlink(missing_ok=True)
+            remove(self.path / SUMS)
             return None
         write_whole(self.path / SUMS, text)
         return {"path": SUMS, "bytes": len(text.encode()), "sha256": hashlib.sha256(text.encode()).hexdigest()}
@@ -296,7 +303,7 @@ def remove_stale_runs(path: Path, current: Collection[str]) -> None:
         try:
             folder.settle()
             for name in (RECORD, SUMS):
-                (run / name).unlink(missing_ok=True)
+                remove(run / name)
             if not any(run.iterdir()):
                 run.rmdir()
         finally:

@@ -163,22 +163,29 @@ class Recorder:
             if requested():  # whatever followed from it
                 self._write("interrupted", None)
             elif error is None:
-                self.folder.settle()
-                self._write(self.status, None)
+                try:
+                    self.folder.settle()
+                    self._write(self.status, None)
+                except SppmError as late:
+                    self._write_failed(late)
+                    raise
             elif isinstance(error, SppmError):
-                with contextlib.suppress(ResourceError):  # a full disk; what the stage says of it is the better message
-                    self._write("failed", error)
-                error.record = self.record  # type: ignore[attr-defined]
+                self._write_failed(error)
             else:
                 self._write("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", None)
         finally:
             unregister(self)
             self.folder.discard()
 
+    def _write_failed(self, error: SppmError) -> None:
+        with contextlib.suppress(ResourceError):  # a full disk; what the stage says of it is the better message
+            self._write("failed", error)
+        error.record = self.record  # type: ignore[attr-defined]
+
     def checkpoint(self) -> None:
         """Write down what is finished and which files are about to be put into place.
 
-        Whoever comes after a process that was killed then knows all files that are from this run.
+        After a process that was killed, the next run then knows all files that are from this run.
         """
         self._write("running", None)
 
@@ -215,7 +222,7 @@ class Recorder:
 def mark_ended(path: Path, status: str = "interrupted", error: SppmError | None = None) -> None:
     """Put the directory of a run into order whose process was ended, and those of its rows if it is a sweep.
 
-    Nothing is done to runs that had ended by themselves, or that somebody goes on with.
+    Nothing is done to runs that had ended by themselves, or that another process goes on with.
 
     Parameters
     ----------
