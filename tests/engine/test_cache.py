@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.cache import session
+from sppm_pipeline.engine.cache import housekeeping, session
 from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, parse_size, prune
 from sppm_pipeline.engine.cache.keys import differences
 from sppm_pipeline.engine.cache.session import reasons_of
@@ -20,6 +20,7 @@ from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.testing.synthetic import Number
 
 STAGES = Path(__file__).with_name("slow_stages.py")
@@ -560,3 +561,27 @@ def test_what_costs_too_much_to_keep_is_not_kept(lab, monkeypatch):
     assert contents(Store(lab.cache)) == []
     assert lab.run()["status"] == "done"
     assert lab.ran == ALL
+
+
+def test_a_cache_that_others_can_write_is_refused_or_passed_over(tmp_path, monkeypatch):
+    exposed = tmp_path / "exposed"
+    exposed.mkdir()
+    exposed.chmod(0o777)
+    with pytest.raises(ConfigError, match=r"can't be trusted: other users may write to it \(mode 777\)"):
+        housekeeping.cache_folder(exposed)
+    monkeypatch.setenv("SPPM_CACHE", str(exposed))
+    with pytest.raises(ConfigError, match="can't be trusted"):
+        housekeeping.cache_folder()
+    monkeypatch.delenv("SPPM_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    (tmp_path / "home/sppm/results").mkdir(parents=True)
+    (tmp_path / "home/sppm/results").chmod(0o777)
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(housekeeping.tempfile, "gettempdir", lambda: str(tmp_path / "tmp"))
+    shared = housekeeping.cache_folder()
+    assert shared.parent == tmp_path / "tmp"
+    assert shared.stat().st_mode & 0o777 == 0o700
+    shared.chmod(0o777)
+    own = housekeeping.cache_folder()
+    assert own not in (shared, tmp_path / "home/sppm/results")
+    assert own.stat().st_mode & 0o777 == 0o700

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import sys
@@ -15,6 +16,7 @@ from sppm_pipeline.engine.cache.store import CAP, Store
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.storage import DamagedError
+from sppm_pipeline.services.private_folder import exposure, make_private, temporary_folder
 
 AFTER_PRUNING = 0.8
 """Share of the cap that is left after entries were removed, so that not every run has to remove some."""
@@ -175,20 +177,47 @@ FOLDER, SIZE = "SPPM_CACHE", "SPPM_CACHE_CAP"
 
 
 def cache_folder(given: Path | None = None) -> Path | None:
-    """The folder of the cache: `given`, else ``SPPM_CACHE``, else in the user's cache folder; None if turned off."""
+    """The folder of the cache: `given`, else ``SPPM_CACHE``, else in the user's cache folder; None if turned off.
+
+    Raises
+    ------
+    ConfigError
+        If another user may have written to the folder that was named.
+    """
     if given is not None:
-        return given.absolute()
+        return _vouched(given.absolute(), "--cache")
     if set_by := os.environ.get(FOLDER):
-        return None if set_by.lower() == "off" else Path(set_by).absolute()
+        return None if set_by.lower() == "off" else _vouched(Path(set_by).absolute(), FOLDER)
     if sys.platform == "win32":
         root = os.environ.get("LOCALAPPDATA")
     else:
         home = os.environ.get("HOME")
         root = os.environ.get("XDG_CACHE_HOME") or (os.path.join(home, ".cache") if home else None)
-    if root:
-        return Path(root).absolute() / "sppm" / "results"
     user = getattr(os, "getuid", lambda: "user")()
-    return Path(tempfile.gettempdir()) / f"sppm-results-{user}"
+    if root:
+        place = Path(root).absolute() / "sppm" / "results"
+        if not place.exists() or not exposure(place):
+            return place
+    shared = Path(tempfile.gettempdir()) / f"sppm-results-{user}"
+    with contextlib.suppress(OSError):
+        make_private(shared)  # first, so that nobody makes it between the look and its use
+        if not exposure(shared):
+            return shared
+    return _own_folder()
+
+
+@functools.cache
+def _own_folder() -> Path:
+    return temporary_folder("sppm-results-")
+
+
+def _vouched(folder: Path, by: str) -> Path:
+    if folder.exists() and (why := exposure(folder.resolve())):
+        raise ConfigError(
+            f"the cache {str(folder)!r} can't be trusted: {why}",
+            hint=f"name one of yours with {by}, for instance {str(folder / 'mine')!r}, or chmod go-w it if it is yours",
+        )
+    return folder
 
 
 def cache_cap() -> int:

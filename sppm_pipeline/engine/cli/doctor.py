@@ -104,7 +104,7 @@ def _machine() -> Iterator[Finding]:
 def _kernel_cache() -> Iterator[Finding]:
     """Folder of compiled kernels and its state."""
     from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
-    from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root
+    from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root, passed_over
     from sppm_pipeline.services.jit.machine_code import hindrance
 
     folder = kernel_cache_root()
@@ -116,6 +116,8 @@ def _kernel_cache() -> Iterator[Finding]:
         state += f"; {len(left)} of {len(listed)} that are common are not, which `sppm doctor --kernels` compiles"
     if why := hindrance():
         state += f"; Numba starts them ({why}), which takes longer"
+    for place, reason in passed_over().items():
+        state += f"; {place} is not used: {reason}"
     yield writable, "kernel cache", f"{folder}: {found}, {state}"
 
 

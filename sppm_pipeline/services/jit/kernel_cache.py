@@ -23,6 +23,8 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from sppm_pipeline.services.private_folder import exposure, make_private, temporary_folder
+
 KEPT_STATES = 4
 """Folders of earlier states of a module that stay, newest first; users may have several environments."""
 
@@ -62,11 +64,7 @@ def kernel_cache_folder(source: str) -> Path:
 @functools.cache
 def _temporary() -> Path:
     """A folder for the kernels of this process alone, which goes when it ends."""
-    from multiprocessing.util import Finalize  # which also runs where a child ends without exit handlers
-
-    folder = tempfile.mkdtemp(prefix="sppm-kernels-")
-    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
-    return Path(folder)
+    return temporary_folder("sppm-kernels-")
 
 
 @functools.cache
@@ -74,15 +72,30 @@ def kernel_cache_root() -> Path:
     """The writable folder that holds those of all modules.
 
     It lies under ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder, else in the temporary folder.
+    What lies there is run as machine code, so a folder that another user can write to is passed over; see `exposure`.
     """
+    return next((base for base in _bases() if not unusable(base)), None) or _temporary()
+
+
+def unusable(base: Path) -> str:
+    """Reason why a folder can't hold kernels; empty if it can. It is made if it is missing."""
+    try:
+        make_private(base)
+    except OSError as error:
+        return f"it can't be made: {error.strerror}"
+    if not os.access(base, os.W_OK | os.X_OK):
+        return "it can't be written"
+    return exposure(base)
+
+
+def passed_over() -> dict[str, str]:
+    """Folders for kernels that come before the one that is used, and why each is not."""
+    reasons = {}
     for base in _bases():
-        try:
-            base.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(base, os.W_OK | os.X_OK):
-            return base
-    return _temporary()
+        if base == kernel_cache_root():
+            break
+        reasons[str(base)] = unusable(base)
+    return reasons
 
 
 def _bases() -> list[Path]:

@@ -119,7 +119,7 @@ def test_places_in_turn(place, monkeypatch):
     blocked("home")
     assert root().parent == place / "tmp"
     blocked("tmp")
-    monkeypatch.setattr(kernel_cache.tempfile, "mkdtemp", lambda prefix: str(place / prefix))
+    monkeypatch.setattr(kernel_cache, "temporary_folder", lambda prefix: place / prefix)
     assert root() == place / "sppm-kernels-"
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     monkeypatch.delenv("XDG_CACHE_HOME")
@@ -133,6 +133,50 @@ def test_a_folder_that_cannot_be_written_is_passed_over(place, monkeypatch):
     real = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != first and real(path, mode))
     assert kernel_cache_root() == place / "home/sppm/kernels"
+
+
+def _by_another(folder):
+    """As if another user had made the folder."""
+    folder.mkdir(parents=True)
+    os.chown(folder, 12345, 12345)
+
+
+def _open(folder):
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+
+
+def _linked(folder):
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    (folder.parent / "elsewhere").mkdir()
+    folder.symlink_to("elsewhere")
+
+
+@pytest.mark.parametrize("made", [_by_another, _open, _linked])
+def test_machine_code_comes_from_no_folder_that_others_can_write(place, monkeypatch, made):
+    """The names of these folders are known, and whoever made one first would have its code run."""
+    if made is _by_another and os.geteuid() != 0:
+        monkeypatch.setattr(os, "geteuid", lambda: 54321)
+        made = lambda folder: folder.mkdir(parents=True)  # noqa: E731
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("HOME", raising=False)
+    (place / "tmp").mkdir(exist_ok=True)
+    for folder in kernel_cache._bases():
+        made(folder)
+    root = kernel_cache_root()
+    assert root not in kernel_cache._bases()
+    assert root.stat().st_mode & 0o777 == 0o700
+    assert set(kernel_cache.passed_over()) == {str(folder) for folder in kernel_cache._bases()}
+
+
+def test_a_folder_that_others_may_replace_is_passed_over(place):
+    (place / "numba").mkdir()
+    (place / "numba").chmod(0o777)
+    assert kernel_cache_root() == place / "home/sppm/kernels"
+    assert "other users may replace it" in kernel_cache.passed_over()[str(place / "numba/sppm-kernels")]
+    (place / "numba").chmod(0o1777)
+    kernel_cache_root.cache_clear()
+    assert kernel_cache_root() == place / "numba/sppm-kernels"
 
 
 def test_old_states_are_removed_the_newest_stay(place, sources):
