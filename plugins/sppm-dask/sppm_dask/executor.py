@@ -35,19 +35,20 @@ QUEUES = {
 """Classes of dask_jobqueue, by what stands after ``dask:``."""
 
 CONNECTING = "20s"
-"""How long a scheduler may take to answer; a choice."""
+"""Time for a scheduler to answer, a heuristic: one that runs answers within a second."""
 
 AT_ONCE = 0.2
-"""Seconds that an interrupted sweep waits for its cluster; a choice below the patience of the program."""
+"""Seconds that an interrupted sweep waits for its cluster: below `interruption.PATIENCE`."""
 
 WITHOUT_WORKERS = 60.0
-"""Seconds after which a cluster that was started here, has work and no worker is given up; a choice.
+"""Seconds after which a cluster that was started here, has work and no worker is given up, and others are reported.
 
-Dask starts a worker again that has died, but not one that dies before its nanny has seen it run.
+A heuristic: starting a worker again takes a few seconds, twenty on a busy machine. Dask starts a worker again that has
+died, but not one that dies before its nanny has seen it run.
 """
 
 SETTLED = 5.0
-"""Seconds that a task may stay without an outcome after the scheduler went; a choice.
+"""Seconds that a task may stay without an outcome after the scheduler went, a heuristic; only the message waits.
 
 Dask cancels the tasks that run, but one whose result is on its way may be heard of no more.
 """
@@ -79,6 +80,8 @@ class DaskExecutor(Executor):
     ----------
     about : str
         Where the tasks run, for the user.
+    notify : function of str
+        Called with a message for the user while tasks wait; set by the engine.
 
     Raises
     ------
@@ -95,6 +98,7 @@ class DaskExecutor(Executor):
         self._closed, self._shut = False, threading.Event()
         self._open: set[Future[Any]] = set()
         self._broken = ""
+        self.notify: Callable[[str], None] = lambda message: None
         with contextlib.ExitStack() as ending:
             try:
                 self._client = ending.enter_context(_client(workers, where, ending))
@@ -175,7 +179,7 @@ class DaskExecutor(Executor):
 
     def _watch(self) -> None:
         """Give up tasks that Dask will say nothing of any more."""
-        comm, since = self._client.scheduler_comm, time.monotonic()
+        comm, since, reported = self._client.scheduler_comm, time.monotonic(), False
         lost: dict[Future[Any], float] = {}
         while not self._shut.wait(min(1.0, SETTLED / 4, WITHOUT_WORKERS / 4)):
             now = time.monotonic()
@@ -183,12 +187,28 @@ class DaskExecutor(Executor):
                 comm = self._client.scheduler_comm
                 lost = {future: lost.get(future, now) for future in list(self._open)}
             _give_up((f for f, when in lost.items() if now - when > SETTLED), ConnectionError(GONE))
-            if not self._local or not self._open or self._client.cluster.scheduler.workers:
-                since = now
-            elif now - since > WITHOUT_WORKERS:
+            if not self._open or self._count_workers():
+                since, reported = now, False
+            elif self._local and now - since > WITHOUT_WORKERS:
                 self._broken = "all workers of the local Dask cluster died, and none could be started again"
                 _give_up(list(self._open), BrokenExecutor(self._broken))
                 return
+            elif not reported and now - since > WITHOUT_WORKERS:
+                # others may start workers at any time, as a queue does, so the tasks wait for them
+                reported = True
+                self.notify(
+                    f"the Dask cluster at {self._client.scheduler.address} has had no workers for "
+                    f"{WITHOUT_WORKERS:.0f} s; the runs wait for one"
+                )
+
+    def _count_workers(self) -> int:
+        """Number of workers; 1 where it is unknown, as while the scheduler is gone."""
+        if self._local:
+            return len(self._client.cluster.scheduler.workers)
+        try:
+            return len(self._client.scheduler_info(n_workers=-1)["workers"])
+        except Exception:  # whatever a client raises whose connection has just broken
+            return 1
 
 
 def _give_up(futures: Iterable[Future[Any]], error: Exception) -> None:

@@ -148,7 +148,8 @@ def _execute(args: Namespace) -> int:
                 plan,
                 path,
                 workers=args.jobs,
-                executor=args.executor,
+                # a row that used up its time in this process would take the table of the others with it
+                executor=args.executor or ("processes" if args.stage_time is not None else None),
                 threads=threads,
                 until=args.until,
                 monitor=monitor,

@@ -1,12 +1,14 @@
-"""What a supervised process is doing and how long it may, in memory that it shares with its supervisor.
+"""Activity and deadlines of a supervised process, in a page of memory that it shares with its supervisor.
 
-A process that crashes, hangs with Python's lock held or is left by ``os._exit`` can't say whose code it was running;
-its supervisor reads it here. Only light modules are imported, as the supervisor is forked before anything else.
+A process that crashes, hangs with Python's lock held, is stopped or left by ``os._exit`` can't say whose code it was
+running; its supervisor reads it here. A worker of a sweep shares a file with its guard (`guard.py`) in the same way.
+Only light modules are imported, as the supervisor is forked before anything else.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import mmap
 import os
@@ -23,10 +25,10 @@ from sppm_pipeline.errors import ConfigError, Position
 _AREA = 4096
 """Bytes of the texts."""
 
-_RUN, _STAGE = 0, 1
-"""Which of the numbers at the beginning says when the run, and when the current stage has to have ended."""
+_RUN, _STAGE, _MEMORY = 0, 1, 2
+"""Numbers at the beginning: when the run and when the current stage has to have ended, and bytes that it may take."""
 
-_ENDS = 2 * 8
+_ENDS = 3 * 8
 """The byte that says whether the process means to end."""
 
 _TEXT, _WORDS = _ENDS + 8, _ENDS + 8 + _AREA
@@ -64,6 +66,7 @@ _times: Any = memoryview(b"")  # of doubles, which its annotations take for whol
 """The numbers in `_shared`. Each is stored at once; `struct.pack_into` clears what it writes to first, and a supervisor
 that looked in between would see a time long past."""
 
+_file: Path | None = None
 _run: ContextVar[str] = ContextVar("run", default="")
 _lock = threading.Lock()
 _active: list[tuple[Activity, float]] = []
@@ -71,7 +74,7 @@ _active: list[tuple[Activity, float]] = []
 
 def share(file: Path | None = None) -> None:
     """Share what is noted from now on with children forked from this process, or with whoever reads `file`."""
-    global _shared, _times
+    global _shared, _times, _file
     size = _WORDS + _AREA
     if file is None:
         _shared = mmap.mmap(-1, size)
@@ -80,8 +83,9 @@ def share(file: Path | None = None) -> None:
             opened.truncate(size)
             _shared = mmap.mmap(opened.fileno(), size)
     _times = memoryview(_shared)[:_ENDS].cast("d")
-    _times[_RUN] = _times[_STAGE] = math.inf
+    _times[_RUN] = _times[_STAGE] = _times[_MEMORY] = math.inf
     _shared[_ENDS] = 0
+    _file = file
 
 
 @contextlib.contextmanager
@@ -166,11 +170,55 @@ def limit_run(seconds: float) -> None:
     _times[_RUN] = time.monotonic() + seconds
 
 
-def deadlines() -> tuple[float, float]:
-    """When the run and when the stage has to have ended, on the clock of `time.monotonic`."""
+def limit_memory(count: int) -> None:
+    """Have the supervisor end this process when it and those below it hold more bytes; nothing without a supervisor."""
+    if _shared is not None:
+        _times[_MEMORY] = float(count)
+
+
+def memory_limit() -> float:
+    """Bytes that the process and those below it may hold."""
+    return math.inf if _shared is None else float(_times[_MEMORY])
+
+
+def deadlines(file: Path | None = None) -> tuple[float, float]:
+    """When the run and when the stage has to have ended, on the clock of `time.monotonic`.
+
+    With `file`, those of the process of this machine that shares it.
+    """
+    if file is not None:
+        return struct.unpack_from("dd", file.read_bytes())
     if _shared is None:
         return math.inf, math.inf
     return _times[_RUN], _times[_STAGE]
+
+
+def overdue_file(notes: Path) -> Path:
+    """The file that says of a run of a sweep, beside its shared file, that it has used up its time."""
+    return notes.with_name(f"{notes.name}.overdue")
+
+
+def note_overdue(notes: Path | None = None) -> None:
+    """Write down what was being done when its time was up; the process is about to be ended.
+
+    Parameters
+    ----------
+    notes : Path, optional
+        The shared file; that of this process if omitted.
+    """
+    if (notes := notes or _file) is None:
+        return
+    now = current(notes) or Activity("the run", True)
+    with contextlib.suppress(OSError):  # the run directory may be full: the row then counts as one whose process died
+        overdue_file(notes).write_text(json.dumps(now), encoding="utf-8")
+
+
+def overdue(notes: Path) -> Activity | None:
+    """What was being done in a run of a sweep when its time was up; None if it was not."""
+    try:
+        return Activity(*json.loads(overdue_file(notes).read_bytes()))
+    except (OSError, ValueError, TypeError):
+        return None
 
 
 def leave(code: int) -> None:

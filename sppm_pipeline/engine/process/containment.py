@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from sppm_pipeline.engine.process import interruption
-from sppm_pipeline.engine.process.activity import Activity, doing, leave
+from sppm_pipeline.engine.process.activity import Activity, doing, leave, note_overdue
 from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError
 
 STAGE_TIME = "SPPM_STAGE_TIME"
@@ -237,6 +237,7 @@ class _Watchdog:
             else:
                 interruption.raise_in(self._thread, _TimeUp)
         if not self._done.wait(GRACE):
+            note_overdue()
             interruption.cancel_all(self._error, self._thread)
             with contextlib.suppress(OSError, ValueError):
                 os.write(2, f"\nsppm: {self._error}\n  it could not be interrupted; the process is ended\n".encode())

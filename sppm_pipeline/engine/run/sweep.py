@@ -3,41 +3,42 @@
 from __future__ import annotations
 
 import contextlib
-import functools
-import json
 import os
-import signal
-import socket
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.files import clear
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
-from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session
-from sppm_pipeline.engine.process.activity import current, of_run, share
+from sppm_pipeline.engine.plan.session import Session
+from sppm_pipeline.engine.process.activity import overdue, overdue_file
+from sppm_pipeline.engine.process.budget import MEMORY
+from sppm_pipeline.engine.process.containment import STAGE_TIME
+from sppm_pipeline.engine.run.contract import CONTRACT
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.executors import default_executor, make_executor, serve
-from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
-from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
-from sppm_pipeline.engine.run.runner import StepRunner, run_plan
-from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, numbers_of, rows_of
-from sppm_pipeline.engine.run.workers import Driver, announced, check_worker
+from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs, staging_name
+from sppm_pipeline.engine.run.record import Recorder, mark_ended
+from sppm_pipeline.engine.run.rows import dead_row, ended_row, failed_row, overdue_error, run_row, store_in
+from sppm_pipeline.engine.run.runner import StepRunner
+from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, rows_of
+from sppm_pipeline.engine.run.workers import announced
 from sppm_pipeline.engine.strict_json import json_text
-from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
+from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.cache.store import Store
     from sppm_pipeline.nouns.table import Table
 
 IN_FLIGHT = 64
-"""Rows that an executor holds at least, or four for each worker: it never waits, and canceling is instant; a choice."""
+"""Rows that an executor holds at least, or four for each worker: a heuristic.
+
+Fewer may let workers wait for this process; more only delay an interrupt. A factor of two changes neither noticeably.
+"""
 
 RETRIES = 2
-"""How often a row whose worker died is run again unless said otherwise; a choice."""
+"""Runs again of a row whose worker died, by default: it may have died because of a row beside it."""
 
 
 def run_sweep(
@@ -126,7 +127,7 @@ def run_sweep(
                 monitor=monitor,
                 observers=Observers([recorder, monitor], plan.plugins, recorder.warn),
                 available={SWEEP_ID: _table(columns, found, path)},
-                store=_store(cache),
+                store=store_in(cache),
                 checkpoint=recorder.checkpoint,
             ).run()
         recorder.status = "done" if all(done) else "failed"
@@ -149,29 +150,15 @@ def _table(columns: Mapping[str, Sequence[Any]], runs: Sequence[Mapping[str, Any
     return Table({name: tuple(values) for name, values in columns.items()}, files)
 
 
-def _files(record: Mapping[str, Any]) -> dict[str, str]:
-    """Digests of the files that a run wrote, by name; folders are left out."""
-    outputs = [output for stage in record.get("stages", ()) for output in stage.get("outputs", ())]
-    return {output["path"]: output["sha256"] for output in outputs if "files" not in output}
-
-
 def _row_names(count: int) -> list[str]:
     """Folders of the rows."""
     digits = max(4, len(str(count - 1)))
     return [f"{i:0{digits}}" for i in range(count)]
 
 
-def _store(cache: Path | None) -> Store | None:
-    if cache is None:
-        return None
-    from sppm_pipeline.engine.cache.housekeeping import open_store
-
-    return open_store(cache)
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Asked:
-    """How rows are to be run; see `run_sweep`.
+    """Arguments of a sweep that its rows share; see `run_sweep`.
 
     Attributes
     ----------
@@ -207,23 +194,36 @@ def _run_rows(
 
     def ended(number: int, result: dict[str, Any]) -> None:
         results[number] = result | {"attempts": 1 + again.get(number, 0)}
-        with contextlib.suppress(OSError):  # there is none of a row that ran in this process
-            Path(tasks[number]["notes"]).unlink()
+        notes = Path(tasks[number]["notes"])
+        for file in (notes, overdue_file(notes)):
+            with contextlib.suppress(OSError):  # there is none of a row that ran in this process
+                file.unlink()
         monitor.row_finished(len(results), len(names), result)
 
+    def end_overdue(numbers: Iterable[int]) -> bool:
+        """Take in the rows that were ended because a stage had used up its time: they would do so again."""
+        late = {n: now for n in numbers if (now := overdue(Path(tasks[n]["notes"]))) is not None}
+        for number, now in late.items():
+            ended(number, ended_row(session, tasks[number], overdue_error(now)))
+        return bool(late)
+
     def failed(number: int, error: BaseException) -> None:
+        if end_overdue([number]):
+            return
         if isinstance(error, NativeCrash):
             suspects.add(number)
         elif isinstance(error, SppmError):
             raise error
         else:
             text = f"the executor {asked.executor!r} lost run {names[number]!r}: {type(error).__name__}: {error}"
-            ended(number, _failed(session, tasks[number], PluginError(text)))
+            ended(number, failed_row(session, tasks[number], PluginError(text)))
 
     def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:
         pool = make_executor(asked.executor, workers, session.plugins)
         if len(left) == len(tasks):
             monitor.sweep_started(getattr(pool, "about", ""), len(tasks))
+        if hasattr(pool, "notify"):
+            pool.notify = lambda message: monitor.warning(None, message)
         return serve(pool, run_row, left, ended, failed, most=max(IN_FLIGHT, 4 * workers))
 
     def alone(number: int) -> None:
@@ -232,16 +232,16 @@ def _run_rows(
             suspects.discard(number)
             again[number] = again.get(number, 0) + 1
             broken, codes = serve_rows(1, {number: tasks[number]})
-            if number in results:
+            if number in results or end_overdue([number]):
                 return
             if broken is None and number not in suspects:
                 break
         suspects.discard(number)
-        ended(number, _taken_down(session, tasks[number], codes))
+        ended(number, dead_row(session, tasks[number], codes))
 
     try:
         with (
-            TemporaryDirectory(prefix="sppm-sweep-") as folder,
+            _notes_folder(path) as folder,
             announced(path, asked.cache, session.plugins, same_processor=asked.same_processor) as driver,
         ):
             common = {
@@ -252,14 +252,15 @@ def _run_rows(
                 "cache": asked.cache,
                 "from": os.getpid(),
                 "driver": driver,
+                "limits": {name: os.environ.get(name) for name in (STAGE_TIME, MEMORY, CONTRACT)},
             }
             tasks += [
-                {**common, "row": i, "path": str(path / SWEEP_RUNS / name), "notes": str(Path(folder) / name)}
+                {**common, "row": i, "path": str(path / SWEEP_RUNS / name), "notes": str(folder / name)}
                 for i, name in enumerate(names)
             ]
             while left := {i: task for i, task in enumerate(tasks) if i not in results}:
                 broken, _ = serve_rows(asked.workers, left)
-                if broken is not None:
+                if broken is not None and not end_overdue(left.keys() - results.keys()):
                     begun = {i for i, task in left.items() if i not in results and Path(task["notes"]).exists()}
                     if not (begun or suspects):
                         raise NativeCrash(
@@ -279,120 +280,28 @@ def _run_rows(
             stopped = error
         for number, task in enumerate(tasks):
             if number not in results:
-                results[number] = _failed(session, task, error) | {"attempts": again.get(number, 0)}
+                results[number] = failed_row(session, task, error) | {"attempts": again.get(number, 0)}
     finally:
         for name in names:
             mark_ended(path / SWEEP_RUNS / name)
     return [results[number] for number in range(len(names))], stopped
 
 
+@contextlib.contextmanager
+def _notes_folder(path: Path) -> Iterator[Path]:
+    """A folder in the run directory, which workers on other machines see, for the files that workers share."""
+    folder = path / staging_name()
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise ResourceError(f"can't write into {str(path)!r}: {error.strerror}") from error
+    try:
+        yield folder
+    finally:
+        clear(folder)
+
+
 def _why(broken: BaseException) -> str:
     from concurrent.futures.process import BrokenProcessPool
 
     return "a worker process died before it began a run" if isinstance(broken, BrokenProcessPool) else str(broken)
-
-
-def _failed(session: Session, task: Mapping[str, Any], error: SppmError) -> dict[str, Any]:
-    """The result of a row that did not run, or of which nothing was heard."""
-    return _result(Path(task["path"]), session.rows[task["row"]], {}, error_entry(error))
-
-
-def _taken_down(session: Session, task: Mapping[str, Any], codes: Sequence[int]) -> dict[str, Any]:
-    """The result of a row whose process has died, by what it was doing."""
-    path, notes = Path(task["path"]), Path(task["notes"])
-    now = current(notes) if notes.exists() else None  # it ran on another machine
-    place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
-    doing = "" if now is None else f", while this was running: {now.what}"
-    code = codes[0] if len(codes) == 1 else None
-    run = f"the process of run {path.name!r}"
-    error: SppmError
-    if code is not None and code >= 0:
-        kind = SppmError if now is None or now.builtin else PluginError
-        error = kind(f"{run} was ended by its own code (exit code {code}){doing}", **place)
-    else:
-        name = f" by {signal.Signals(-code).name}" if code else ""
-        memory = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
-        hint = "run this row alone with --debug; if memory ran out, try a coarser resolution"
-        error = NativeCrash(f"{run} was taken down{name}{memory}{doing}", hint=hint, **place)
-    mark_ended(path, "failed", error)
-    try:
-        record = json.loads((path / RECORD).read_bytes())
-    except (OSError, ValueError):
-        record = {}
-    row = session.rows[task["row"]]
-    return _result(path, row, record, record.get("error") or error_entry(error))
-
-
-@functools.lru_cache(maxsize=1)
-def _session(request: RunRequest, sweep: str) -> Session:
-    """One session a sweep and worker process, whatever the number of its rows."""
-    return open_session(request)
-
-
-def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
-    """Run one row of a sweep; errors are returned, not raised.
-
-    Parameters
-    ----------
-    task : mapping
-        ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
-        ``path`` (run directory), ``threads``, ``until``, ``cache`` (folder of the cache, or None), ``notes`` (a file in
-        which a worker process notes what it is doing), ``from`` (number of the process that has made the task) and
-        ``driver`` (a `Driver`).
-
-    Returns
-    -------
-    dict
-        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``host``, ``warnings``, ``columns``, ``files`` (names
-        and digests), and as ``record`` the digest of the row's record.
-
-    Raises
-    ------
-    ConfigError, ResourceError
-        If this worker process is unfit for the sweep; see `check_worker`.
-    """
-    driver: Driver = task["driver"]
-    apart = (os.getpid(), socket.gethostname()) != (task["from"], driver.host)
-    warnings = check_worker(driver) if apart else []
-    session = _session(task["request"], task["sweep"])
-    row = session.rows[task["row"]]
-    path = Path(task["path"])
-    if apart:
-        with contextlib.suppress(OSError):  # on another machine
-            share(Path(task["notes"]))
-    try:
-        from sppm_pipeline.engine.cache.keys import run_key
-
-        plan, store = session.plan(row), _store(task["cache"])
-        key = run_key(plan, task["until"])
-        with contextlib.nullcontext() if apart else of_run(path.name):  # of a worker process its notes tell
-            record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
-        error = None
-    except SppmError as raised:
-        record, error = getattr(raised, "record", {}), error_entry(raised)
-    result = _result(path, row, record, error)
-    return result | {"host": socket.gethostname(), "warnings": warnings + result["warnings"]}
-
-
-def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What the sweep keeps of a row, from its record."""
-    return {
-        "run": path.name,
-        "params": {name: plain(entry.node) for name, entry in row.items()},
-        "status": "done" if error is None else "failed",
-        "error": error,
-        "seconds": record.get("seconds"),
-        "warnings": _warnings(record),
-        "columns": numbers_of(record.get("stages", ())),
-        "files": _files(record),
-        "record": record.get("sha256"),
-    }
-
-
-def _warnings(record: Mapping[str, Any]) -> list[str]:
-    """Warnings of all stages of a run."""
-    return [
-        f"stage {stage['id']!r}: {message}"
-        for stage in record.get("stages", ())
-        for message in stage.get("warnings", ())
-    ]

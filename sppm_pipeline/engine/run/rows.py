@@ -1,0 +1,176 @@
+"""One row of a sweep: its run in a worker process, and its result, also if its process is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import signal
+import socket
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session
+from sppm_pipeline.engine.process.activity import Activity, current, of_run, overdue, share
+from sppm_pipeline.engine.process.containment import stage_seconds
+from sppm_pipeline.engine.process.guard import guard
+from sppm_pipeline.engine.run.outputs import RECORD
+from sppm_pipeline.engine.run.record import error_entry, mark_ended
+from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.engine.run.sweep_table import numbers_of
+from sppm_pipeline.engine.run.workers import Driver, check_worker
+from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.cache.store import Store
+
+
+def overdue_error(now: Activity) -> SppmError:
+    kind = ResourceError if now.builtin else PluginError
+    limit = f"the {seconds:g} seconds that a stage may take" if (seconds := stage_seconds()) else "its stage time"
+    hint = "allow more with --stage-time; it could not be interrupted, so its process was ended"
+    return kind(f"{now.what} took longer than {limit}", hint=hint, where=now.place, stage=now.stage or None)
+
+
+def failed_row(session: Session, task: Mapping[str, Any], error: SppmError) -> dict[str, Any]:
+    """The result of a row that did not run, or of which nothing was heard."""
+    return _result(Path(task["path"]), session.rows[task["row"]], {}, error_entry(error))
+
+
+def dead_row(session: Session, task: Mapping[str, Any], codes: Sequence[int]) -> dict[str, Any]:
+    """The result of a row whose process has died, by what it was doing."""
+    path, notes = Path(task["path"]), Path(task["notes"])
+    now = current(notes) if notes.exists() else None  # it ran on another machine
+    place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
+    doing = "" if now is None else f", while this was running: {now.what}"
+    code = codes[0] if len(codes) == 1 else None
+    run = f"the process of run {path.name!r}"
+    error: SppmError
+    if code is not None and code >= 0:
+        kind = SppmError if now is None or now.builtin else PluginError
+        error = kind(f"{run} was ended by its own code (exit code {code}){doing}", **place)
+    else:
+        name = f" by {signal.Signals(-code).name}" if code else ""
+        memory = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
+        hint = "run this row alone with --debug; if memory ran out, try a coarser resolution"
+        error = NativeCrash(f"{run} was taken down{name}{memory}{doing}", hint=hint, **place)
+    return ended_row(session, task, error)
+
+
+def ended_row(session: Session, task: Mapping[str, Any], error: SppmError) -> dict[str, Any]:
+    """The result of a row whose process is gone, with what its record still says."""
+    path = Path(task["path"])
+    mark_ended(path, "failed", error)
+    try:
+        record = json.loads((path / RECORD).read_bytes())
+    except (OSError, ValueError):
+        record = {}
+    row = session.rows[task["row"]]
+    return _result(path, row, record, record.get("error") or error_entry(error))
+
+
+@functools.lru_cache(maxsize=1)
+def _session(request: RunRequest, sweep: str) -> Session:
+    """One session a sweep and worker process, whatever the number of its rows."""
+    return open_session(request)
+
+
+def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Run one row of a sweep; errors are returned, not raised.
+
+    Parameters
+    ----------
+    task : mapping
+        ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
+        ``path`` (run directory), ``threads``, ``until``, ``cache`` (folder of the cache, or None), ``notes`` (a file in
+        which a worker process notes what it is doing), ``from`` (number of the process that has made the task),
+        ``driver`` (a `Driver`) and ``limits`` (environment variables with what a stage may take).
+
+    Returns
+    -------
+    dict
+        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``host``, ``warnings``, ``columns``, ``files`` (names
+        and digests), and as ``record`` the digest of the row's record.
+
+    Raises
+    ------
+    ConfigError, ResourceError
+        If this worker process is unfit for the sweep; see `check_worker`.
+    """
+    driver: Driver = task["driver"]
+    apart = (os.getpid(), socket.gethostname()) != (task["from"], driver.host)
+    warnings = check_worker(driver) if apart else []
+    session = _session(task["request"], task["sweep"])
+    row = session.rows[task["row"]]
+    path = Path(task["path"])
+    if apart:
+        notes = Path(task["notes"])
+        if (now := overdue(notes)) is not None:  # an executor may hand out again what has taken its worker down
+            return ended_row(session, task, overdue_error(now)) | {"host": socket.gethostname()}
+        _adopt_limits(task["limits"])
+        with contextlib.suppress(OSError):  # a file system without shared memory; then nobody can watch
+            share(notes)
+            if stage_seconds() is not None and hasattr(signal, "SIGKILL"):
+                guard(notes)
+    try:
+        from sppm_pipeline.engine.cache.keys import run_key
+
+        plan, store = session.plan(row), store_in(task["cache"])
+        key = run_key(plan, task["until"])
+        with contextlib.nullcontext() if apart else of_run(path.name):  # of a worker process its notes tell
+            record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
+        error = None
+    except SppmError as raised:
+        record, error = getattr(raised, "record", {}), error_entry(raised)
+    result = _result(path, row, record, error)
+    return result | {"host": socket.gethostname(), "warnings": warnings + result["warnings"]}
+
+
+def _adopt_limits(limits: Mapping[str, str | None]) -> None:
+    """Put the limits of the sweep into the environment of this worker, which another machine may have started."""
+    for name, value in limits.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What the sweep keeps of a row, from its record."""
+    return {
+        "run": path.name,
+        "params": {name: plain(entry.node) for name, entry in row.items()},
+        "status": "done" if error is None else "failed",
+        "error": error,
+        "seconds": record.get("seconds"),
+        "warnings": _warnings(record),
+        "columns": numbers_of(record.get("stages", ())),
+        "files": _files(record),
+        "record": record.get("sha256"),
+    }
+
+
+def _warnings(record: Mapping[str, Any]) -> list[str]:
+    """Warnings of all stages of a run."""
+    return [
+        f"stage {stage['id']!r}: {message}"
+        for stage in record.get("stages", ())
+        for message in stage.get("warnings", ())
+    ]
+
+
+def _files(record: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of the files that a run wrote, by name; folders are left out."""
+    outputs = [output for stage in record.get("stages", ()) for output in stage.get("outputs", ())]
+    return {output["path"]: output["sha256"] for output in outputs if "files" not in output}
+
+
+def store_in(cache: Path | None) -> Store | None:
+    if cache is None:
+        return None
+    from sppm_pipeline.engine.cache.housekeeping import open_store
+
+    return open_store(cache)
