@@ -80,6 +80,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.features.grading.grader import Grader as Grader
     from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh as VolumeMesh
     from sppm_pipeline.hookspecs import Command as Command
+    from sppm_pipeline.hookspecs import Comparison as Comparison
     from sppm_pipeline.hookspecs import Preset as Preset
     from sppm_pipeline.hookspecs import hookimpl as hookimpl
     from sppm_pipeline.method.families import options as options
@@ -136,7 +137,7 @@ _PLACES = {
     "errors": "ConfigError DesignError InputError PluginError ResourceError SppmError",
     "features.grading.grader": "Grader",
     "features.tetrahedra.volume_mesh": "VolumeMesh",
-    "hookspecs": "Command Preset hookimpl",
+    "hookspecs": "Command Comparison Preset hookimpl",
     "method.families": "options",
     "method.families.connector": "Connector",
     "method.families.field_maker": "FieldMaker PartFieldMaker",

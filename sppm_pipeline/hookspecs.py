@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pluggy
 
@@ -193,7 +193,8 @@ def sppm_executors() -> Mapping[str, Callable[..., Executor]]:  # type: ignore[e
     number of workers and returns a `concurrent.futures.Executor`; tasks and results are picklable. If it has a second
     parameter `where`, it is given what follows the colon in ``--executor NAME:WHERE``, or nothing. A future whose
     workers died ends with a `NativeCrash`, or with a `BrokenExecutor` if the executor can't go on. An attribute
-    ``about`` of the executor is shown when the sweep begins. Example::
+    ``about`` of the executor is shown when the sweep begins; an attribute ``notify`` is set to a function that shows a
+    message while rows wait. Example::
 
         @hookimpl
         def sppm_executors():
@@ -230,4 +231,52 @@ def sppm_report_sections(record: Mapping[str, Any]) -> Sequence[ReportSection]: 
         def sppm_report_sections(record):
             found = [stage["summary"] for stage in record["stages"] if stage["stage"] == "check.crystal"]
             return [ReportSection("Crystal", rows=tuple(one.items())) for one in found]
+    """
+
+
+class Comparison(NamedTuple):
+    """Two numbers of a run that must agree, such as the volume of the layers and of the mesh of one part.
+
+    Attributes
+    ----------
+    quantity : str
+        For people: ``"volume of layers.png and part.stl"``.
+    found : float
+        What was counted in the results.
+    expected : float
+        What was asked for, or counted in another way.
+    tolerance : float
+        Largest difference, in the unit of the numbers.
+    unit : str
+    """
+
+    quantity: str
+    found: float
+    expected: float
+    tolerance: float
+    unit: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether they agree; a number that is not finite agrees with nothing."""
+        return abs(self.found - self.expected) <= self.tolerance
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.quantity}: {self.found:.5g}{unit}, expected {self.expected:.5g} +- {self.tolerance:.3g}{unit}"
+
+
+@hookspec
+def sppm_audit(record: Mapping[str, Any]) -> Sequence[Comparison]:  # type: ignore[empty-body]
+    """Compare what a run has made, from the numbers that its stages report.
+
+    Called once at the end of a run whose stages have all ended well, with what ``run.json`` will hold. Returns pairs of
+    numbers that must agree; they must be computed from the record alone, so that an audit costs nothing. A pair that
+    does not agree ends the run with exit code 3, or with ``audit: warn`` in the configuration is a warning; its files
+    stay. An empty sequence means: nothing to compare. Example::
+
+        @hookimpl
+        def sppm_audit(record):
+            found = [stage["summary"] for stage in record["stages"] if stage["stage"] == "sample.crystal"]
+            return [Comparison("pores of the crystal", one["pores"], one["sites"], 0) for one in found]
     """

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from sppm_pipeline.hookspecs import Preset, hookimpl
+from collections.abc import Mapping
+from typing import Any
+
+from sppm_pipeline.hookspecs import Comparison, Preset, hookimpl
+from sppm_pipeline.nouns.report import ReportSection
 
 STAGES = {
     "read.primitive": "ReadPrimitive",
@@ -53,3 +57,22 @@ def sppm_presets() -> dict[str, Preset]:
     from sppm_pipeline.method.presets import PRESETS
 
     return PRESETS
+
+
+@hookimpl
+def sppm_audit(record: Mapping[str, Any]) -> list[Comparison]:
+    """Volumes, islands and porosity of a part."""
+    from sppm_pipeline.method.audit import comparisons
+
+    return list(comparisons(record))
+
+
+@hookimpl
+def sppm_report_sections(record: Mapping[str, Any]) -> list[ReportSection]:
+    """The verdict of the audit."""
+    from sppm_pipeline.method.audit import rows
+
+    audit = record.get("audit")
+    if not audit or not audit["comparisons"]:
+        return []
+    return [ReportSection("Audit", f"verdict: {audit['verdict']}", rows=rows(audit))]

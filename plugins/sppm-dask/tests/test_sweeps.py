@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import dask
 import pytest
@@ -17,6 +18,7 @@ from distributed import Client, LocalCluster
 from sppm_dask.executor import LOCAL
 
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.process import containment
 from sppm_pipeline.engine.run.crew import Crew
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
@@ -29,6 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 from sppm_pipeline import Context, PoreSet, Stage, option
+from sppm_pipeline.engine.process import containment
 
 @dataclass(frozen=True, kw_only=True)
 class Trouble(Stage):
@@ -44,6 +47,10 @@ class Trouble(Stage):
             os.kill(os.getpid(), signal.SIGKILL)
         while waits.exists():
             time.sleep(0.02)
+        if Path(__file__).with_name(f"stops-{self.row}").exists():
+            containment.GRACE, containment.LAST = 0.5, 0.5
+            with containment.limited("the stage 'check.trouble'", builtin=False):
+                os.kill(os.getpid(), signal.SIGSTOP)
 '''
 
 SWEEP = """sppm: 1
@@ -170,6 +177,61 @@ def test_a_deadly_row_fails_alone(cluster, tmp_path):
     assert record["runs"][2]["error"]["exit_code"] == 6
     assert record["runs"][2]["attempts"] == 3
     assert [bool(row["error"]) for row in table_of(folder)] == [False, False, True, False, False, False]
+
+
+def test_a_stopped_row_is_ended_once_and_named(cluster, tmp_path, monkeypatch):
+    file = prepare(tmp_path, 4, "stops-1")
+    monkeypatch.setenv(containment.STAGE_TIME, "3")  # which the workers, started before, have not inherited
+    record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}")
+    assert statuses(record) == ["done", "failed", "done", "done"]
+    assert record["runs"][1]["attempts"] == 1
+    assert "the stage 'check.trouble' took longer than the 3 seconds" in table_of(folder)[1]["error"]
+
+
+def test_workers_that_are_gone_are_reported(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr("sppm_dask.executor.WITHOUT_WORKERS", 1.0)
+    file = prepare(tmp_path, 2)
+
+    class Noting(Monitor):
+        messages: ClassVar[list[str]] = []
+
+        def warning(self, stage, message):
+            self.messages.append(message)
+            cluster.scale(2)
+
+    address = cluster.scheduler_address
+    cluster.scale(0)
+    while cluster.scheduler.workers:
+        time.sleep(0.05)
+    record, _ = swept(file, "out", f"dask:{address}", monitor=Noting())
+    assert statuses(record) == ["done"] * 2
+    assert [message for message in Noting.messages if "has had no workers for 1 s; the runs wait" in message]
+
+
+def test_a_scheduler_that_is_gone_prints_no_traceback(tmp_path):
+    file = prepare(tmp_path, 4, "waits-3")
+    ready = tmp_path / "scheduler.json"
+    serving = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([*serving, "--scheduler-file", str(ready)], **quiet) as scheduler:
+        while not ready.exists():
+            time.sleep(0.05)
+        work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(ready), "--nthreads", "1"]
+        with subprocess.Popen([*work, "--local-directory", str(tmp_path), "--death-timeout", "5"], **quiet) as worker:
+            command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-o", str(tmp_path / "out")]
+            command += ["--executor", f"dask:{ready}", "--no-cache"]
+            with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+                done = [tmp_path / "out" / "runs" / f"{row:04}" / "run.json" for row in range(3)]
+                while not all(_has_ended(record) for record in done) and process.poll() is None:
+                    time.sleep(0.05)
+                scheduler.kill()
+                (tmp_path / "waits-3").unlink()
+                out, said = process.communicate(timeout=300)
+            worker.terminate()
+    assert "Traceback" not in said + out
+    assert "scheduler is gone" in said + out
+    assert process.returncode == 4
+    assert len(table_of(tmp_path / "out")) == 4
 
 
 def test_workers_with_another_program_are_refused(cluster, tmp_path):

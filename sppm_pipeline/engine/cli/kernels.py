@@ -54,8 +54,8 @@ class Waiting(Monitor):
         if self.ahead is not None:
             self.ahead.wait(stage, self.compiling)
 
-    def compiling(self, done: int, total: int) -> None:
-        """So many of all kernels are compiled."""
+    def compiling(self, done: int, total: int, share: float) -> None:
+        """So many of all kernels are compiled, with this share of the time that all take."""
 
     def not_compiled(self, place: str, why: str) -> None:
         """A kernel could not be compiled ahead, which is left to its first call. Calls may come from any thread."""
@@ -110,23 +110,26 @@ class CompileAhead:
             self._ended.add(future)
             self._changed.notify_all()
 
-    def wait(self, stage: str | None, notify: Callable[[int, int], None]) -> None:
+    def wait(self, stage: str | None, notify: Callable[[int, int, float], None]) -> None:
         """Wait for the kernels of a stage, by its id, or of all stages.
 
         Parameters
         ----------
         stage : str or None
-        notify : function of two int
-            Called at each change with the numbers of finished and of all kernels.
+        notify : function of two int and a float
+            Called at each change with the number of kernels that are done, of all kernels, and their share of the time.
         """
         name = None if stage is None else self._ids.get(stage, stage)
         needed = [future for kernel, future in self._futures if name is None or name in kernel.stages]
+        total = sum(kernel.seconds for kernel, _ in self._futures) or 1.0
         reported = -1
         while not self._ended.issuperset(needed):
             check()
             done = len(self._ended)
             if done != reported:
-                notify(done, len(self._futures))
+                # some take twenty times as long as others, so that their number says little of the time
+                share = sum(kernel.seconds for kernel, future in self._futures if future in self._ended) / total
+                notify(done, len(self._futures), share)
                 reported = done
             with self._changed:
                 self._changed.wait(0.1)

@@ -29,8 +29,12 @@ SPARSE = 10.0
 EACH_ROW = 60
 """A sweep of at most so many runs leaves a line for each, a longer one for those that warn or fail; a choice."""
 
-SURE = 0.02
-"""Share of the work after which the time that is left is guessed from the time it took; a choice."""
+MIN_SHARE = 0.1
+"""Share of the work from which on the time that is left is shown: a heuristic.
+
+The first items carry fixed costs; at 0.02 a run of a minute was announced as half an hour. At 0.2 only short waits show
+no time.
+"""
 
 _BAR = 20
 _RED, _GREEN, _YELLOW = 31, 32, 33
@@ -90,9 +94,9 @@ class ProgressLines(Waiting):
         self._begin(self._title)
         self._record(f"{self._title} begins")
 
-    def compiling(self, done: int, total: int) -> None:
+    def compiling(self, done: int, total: int, share: float) -> None:
         """Kernels are compiled ahead, once; then they are kept."""
-        self._show(done / total, f"compiling kernels {done} of {total}")
+        self._show(share, f"compiling kernels {done} of {total}")
 
     def not_compiled(self, place: str, why: str) -> None:
         """For those who asked for each event: nothing is lost but time."""
@@ -103,7 +107,9 @@ class ProgressLines(Waiting):
         if inner and self._outer:
             return
         self._outer = self._outer or not inner
-        self._show(done / total if total > 0 else 0.0, f"{done:g}/{total:g} {what}".rstrip())
+        # fractions count nothing that a person could name, so the percentage stands alone
+        counts = f"{done:.0f}/{total:.0f} " if total > 1 and float(done).is_integer() else ""
+        self._show(done / total if total > 0 else 0.0, f"{counts}{what}".strip())
 
     @hookimpl
     def sppm_stage_finished(self, event: StageEvent) -> None:
@@ -190,13 +196,13 @@ class ProgressLines(Waiting):
             if self._terminal:
                 self._draw()
             else:
-                self._settle(f"{self._title}: {self._share:.0%}, {counts}, {self._times()}")
+                self._settle(", ".join(filter(None, (f"{self._title}: {self._share:.0%}", counts, self._times()))))
 
     def _times(self) -> str:
         """Time since the beginning, and a guess of what is left."""
         elapsed = self._clock() - self._begun
         text = _duration(elapsed)
-        if SURE <= self._share < 1 and elapsed >= 1:
+        if MIN_SHARE <= self._share < 1 and elapsed >= 1:
             text += f", {_duration(elapsed * (1 / self._share - 1))} left"
         return text
 
@@ -205,8 +211,8 @@ class ProgressLines(Waiting):
         room = shutil.get_terminal_size().columns - 1
         filled = round(_BAR * self._share)
         bar = f"|{'#' * filled}{'.' * (_BAR - filled)}|"
-        percent = f"{self._share:4.0%}" if self._counts else ""
-        parts = [self._title, bar if self._counts else "", percent, self._counts, self._times()]
+        percent = f"{self._share:4.0%}" if self._counts or self._share else ""
+        parts = [self._title, bar if percent else "", percent, self._counts, self._times()]
         for dropped in (None, 1, 3, 2):  # bar, counts, percent
             if dropped is not None:
                 parts[dropped] = ""

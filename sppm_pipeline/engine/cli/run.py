@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import os
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator, Mapping, Sequence
@@ -109,6 +110,7 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.engine.config.problems import raise_problems
     from sppm_pipeline.engine.plan.checking import checked
     from sppm_pipeline.engine.plan.estimate import unfit_problems
+    from sppm_pipeline.engine.run.audit import AuditBreach
     from sppm_pipeline.engine.run.crew import fewest_samples
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
@@ -123,6 +125,7 @@ def _execute(args: Namespace) -> int:
             raise_problems(unfit_problems(estimates, path, crew=args.jobs))
     threads = args.threads or available_threads()
     cache = cache_of(args)
+    breach: AuditBreach | None = None
     stack = contextlib.ExitStack()
     monitor = _monitor(args, stack)
     try:
@@ -157,6 +160,8 @@ def _execute(args: Namespace) -> int:
                 retries=args.retries,
                 same_processor=args.same_processor,
             )
+    except AuditBreach as error:  # all stages have ended, and their numbers say what is wrong
+        record, breach = getattr(error, "record", {}), error
     except Exception as error:
         if args.json and hasattr(error, "record"):
             _print_json(error.record)
@@ -175,6 +180,8 @@ def _execute(args: Namespace) -> int:
             print(f"sppm: {line}", file=sys.stderr)
     else:
         _print_summary(record, path, {step.address: headlines_of(step) for step in (*plan.steps, *plan.after)})
+    if breach is not None:
+        raise breach
     failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
     if failed and not args.ignore_failed:
         codes = {run["error"]["exit_code"] for run in failed}
@@ -264,6 +271,8 @@ def _print_summary(
         )
         time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
         print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
+    for line in audit_lines(record.get("audit"), color=sys.stdout.isatty() and not os.environ.get("NO_COLOR")):
+        print(line)
     for line in _failures(record):
         print(line)
     runs = record.get("runs", [])
@@ -278,6 +287,17 @@ def _failures(record: Mapping[str, Any]) -> Iterator[str]:
         if run["error"]:
             values = ", ".join(f"{name}={value}" for name, value in run["params"].items())
             yield f"run {run['run']} ({values}) failed: {run['error']['message']}"
+
+
+def audit_lines(audit: Mapping[str, Any] | None, *, color: bool) -> Iterator[str]:
+    """The verdict of the audit in a line, and a red one for each contradiction."""
+    if not audit or not audit["comparisons"]:
+        return
+    bad = [one["text"] for one in audit["comparisons"] if not one["holds"]]
+    agree = len(audit["comparisons"]) - len(bad)
+    yield f"audit: {audit['verdict']}, {agree} of {len(audit['comparisons'])} comparisons agree"
+    for text in bad:
+        yield f"\x1b[31m  {text}\x1b[0m" if color else f"  {text}"
 
 
 def _wrapped(texts: Sequence[str], indent: int) -> str:

@@ -30,8 +30,11 @@ KEYS = {
     "pipeline": "list of stages",
     "sweep": "lists of values for params and seed (a grid), or a list of maps (a table)",
     "after": "list of stages that run once after a sweep and may use its table",
+    "audit": "fail (default) or warn: what becomes of a run whose results contradict each other or what was asked for",
     "folder": "folder that relative paths start from; the folder of this file if omitted",
 }
+AUDITS = ("fail", "warn")
+
 MAX_SEED = 2**63 - 1
 """Seeds fit into 64 bits, so that other programs can read a run record."""
 
@@ -53,6 +56,7 @@ class Configuration:
     pipeline: Node
     sweep: Node | None
     after: Node | None
+    audit: str = "fail"
 
     def base_of(self, where: Position) -> Path:
         """The folder that a relative path written at `where` starts from."""
@@ -158,6 +162,9 @@ def parse_configuration(root: Node, path: Path, base: str | Path) -> tuple[Confi
                 node.where,
             )
     folder = Path(os.path.abspath(Path(base, str(value_of("folder", str, "a string", ".")))))
+    audit = value_of("audit", str, "`fail` or `warn`", "fail")
+    if audit not in AUDITS:
+        refuse(f"`audit` must be {' or '.join(AUDITS)}, got {shown(audit)}", top["audit"].node.where)
     seed = value_of("seed", int, "an integer, at least 0", 0)
     if not 0 <= seed <= MAX_SEED:
         refuse(f"`seed` must be an integer, at least 0, at most {MAX_SEED}, got {shown(seed)}", top["seed"].node.where)
@@ -194,6 +201,7 @@ def parse_configuration(root: Node, path: Path, base: str | Path) -> tuple[Confi
             pipeline=top["pipeline"].node,
             sweep=sweep,
             after=top["after"].node if "after" in top and "sweep" in top else None,
+            audit=audit,
         ),
         problems,
     )

@@ -356,6 +356,8 @@ def _document(
         "seed": drafts.seed,
         "folder": str(configuration.folder),
     }
+    if configuration.audit != "fail":
+        document["audit"] = configuration.audit
     if drafts.params:
         document["params"] = {name: param_value(name, entry.node) for name, entry in drafts.params.items()}
     if configuration.plugins:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.config.configuration import FORMAT, KEYS
+from sppm_pipeline.engine.config.configuration import AUDITS, FORMAT, KEYS
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option
 from sppm_pipeline.engine.config.presets import KEY
 from sppm_pipeline.engine.plan.describe import purpose_of
@@ -47,6 +47,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
             ]
         },
         "after": stages,
+        "audit": {"enum": list(AUDITS)},
         "folder": {"type": "string"},
     }
     names = registry.sound()

@@ -123,6 +123,7 @@ def run_plan(
                 earlier=earlier,
                 crew=crew,
             ).run()
+        recorder.audit()
     return recorder.record
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import re
+import threading
 import time
+from concurrent.futures import Future
 
 import pytest
 
-from sppm_pipeline.engine.cli import progress
+from sppm_pipeline.engine.cli import kernels, progress
 from sppm_pipeline.engine.cli.progress import ProgressLines
 from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.services.jit import kernel_cache
@@ -153,7 +155,7 @@ def test_a_stage_begins_when_its_kernels_are_compiled():
     class Ahead:
         def wait(self, stage, notify):
             clock.now += 5
-            notify(12, 30)
+            notify(12, 30, 0.25)
             clock.now += 5
 
     stream, clock = io.StringIO(), Clock()
@@ -161,9 +163,41 @@ def test_a_stage_begins_when_its_kernels_are_compiled():
     lines.ahead = Ahead()
     lines.stage_started("tune", 1, 2)
     assert stream.getvalue().splitlines() == [
-        "[1/2] tune: 40%, compiling kernels 12 of 30, 5 s, 8 s left",
+        "[1/2] tune: 25%, compiling kernels 12 of 30, 5 s, 15 s left",
         "[1/2] tune: kernels compiled, 10 s; once, then they are kept",
     ]
+
+
+def test_no_time_is_shown_before_a_tenth_is_done_and_fractions_are_no_counts():
+    stream, clock = io.StringIO(), Clock()
+    lines = ProgressLines(stream, clock=clock)
+    lines.stage_started("crush", 1, 1)
+    for share in (0.00495663, 0.0999, 0.1):
+        clock.now += 60
+        lines.progress("crush", False, share, 1, "strain")
+    lines.progress("crush", False, 0.5, 1, "")
+    assert stream.getvalue().splitlines() == [
+        "[1/1] crush: 0%, strain, 1:00 min",
+        "[1/1] crush: 10%, strain, 2:00 min",
+        "[1/1] crush: 10%, strain, 3:00 min, 27:00 min left",
+        "[1/1] crush: 50%, 3:00 min, 3:00 min left",
+    ]
+
+
+def test_kernels_are_weighed_by_the_time_they_take():
+    heard = []
+    slow, quick = (kernels.Kernel(name, seconds, ("s",), (), []) for name, seconds in (("slow", 9.0), ("quick", 1.0)))
+    ahead = object.__new__(kernels.CompileAhead)
+    first, second = Future(), Future()
+    ahead._ids, ahead._futures = {}, [(slow, first), (quick, second)]
+    ahead._ended, ahead._changed = {second}, threading.Condition()
+
+    def notify(*numbers):
+        heard.append(numbers)
+        ahead._ended.add(first)
+
+    ahead.wait(None, notify)
+    assert heard == [(1, 2, 0.1)]
 
 
 def test_what_a_stage_says_hides_what_its_recipes_say():

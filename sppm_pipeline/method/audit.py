@@ -1,0 +1,136 @@
+"""The audit of a part: the layers, the mesh and what was asked for are compared with each other.
+
+Every number is one that stages report anyway, so an audit costs no evaluation of the field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from sppm_pipeline.hookspecs import Comparison
+
+VOLUME = 0.005
+"""Largest difference between the volumes of layers and mesh, as a fraction.
+
+Both are counts of one field on two grids, whose errors are a few thousandths at 40 samples along a cell; a shell taken
+for void, or a component that only one of them has lost, is a hundredth and more.
+"""
+
+ISLANDS = 0.01
+"""Largest share of the solid that may be removed as islands: porosity then rises by as much of the solid share."""
+
+POROSITY = 0.01
+"""Largest difference between the porosity that was asked for and the one of the layers.
+
+The level of a set of tiles is chosen for the mean of the set: a box of 3^3 laid cells is off by 0.004, and 0.002 are
+the samples of the search. A factor of two would miss a part that lost a hundredth of its solid.
+"""
+
+Stage = Mapping[str, Any]
+
+
+class _Made(NamedTuple):
+    """Solid in files or in a mesh: the stage that reports it, its volume, and the id of the stage whose body it is."""
+
+    stage: Stage
+    volume: float
+    body: str
+
+
+def comparisons(record: Mapping[str, Any]) -> Iterator[Comparison]:
+    """Pairs of numbers of a run that must agree; see `sppm_audit`."""
+    stages: dict[str, Stage] = {stage["id"]: stage for stage in record["stages"]}
+    layers = [made for stage in stages.values() if (made := _layers(stage, stages)) is not None]
+    meshes = [made for stage in stages.values() if (made := _mesh(stage, stages)) is not None]
+    for stack in layers:
+        for mesh in meshes:
+            if mesh.body == stack.body or mesh.stage["id"] == stack.body:
+                name = f"volume of the layers ({stack.stage['id']}) and of the mesh ({mesh.stage['id']})"
+                yield Comparison(name, stack.volume, mesh.volume, VOLUME * abs(mesh.volume), "mm3")
+    for made in (*layers, *meshes):
+        if (share := _number(made.stage["summary"], "removed_share")) is not None:
+            yield Comparison(f"solid removed as islands ({made.stage['id']})", share, 0.0, ISLANDS)
+    for stack in layers:
+        if (porosities := _porosities(stack, stages)) is not None:
+            yield Comparison(f"porosity of the layers ({stack.stage['id']})", *porosities, POROSITY)
+
+
+def _layers(stage: Stage, stages: Mapping[str, Stage]) -> _Made | None:
+    """Layers that a stage has written."""
+    volume = _number(stage["summary"], "solid_volume_mm3")
+    stack = stages.get(_input(stage, "stack"))
+    if volume is None or stack is None:
+        return None
+    return _Made(stage, volume, _body(stack, stages) or _input(stack, "mesh"))
+
+
+def _mesh(stage: Stage, stages: Mapping[str, Stage]) -> _Made | None:
+    """The mesh of a whole field, closed and without shells left out."""
+    volume = _number(stage["summary"], "volume_mm3")
+    if volume is None or not str(stage["stage"]).startswith("extract.") or not stage["options"].get("caps", True):
+        return None
+    return _Made(stage, volume, _body(stage, stages))
+
+
+def _body(stage: Stage, stages: Mapping[str, Stage]) -> str:
+    """The id of the stage that made the field which a stage evaluates; checks hand a field on."""
+    source = _input(stage, "field")
+    while source in stages and str(stages[source]["stage"]).startswith("check."):
+        source = _input(stages[source], "field")
+    return source
+
+
+def _porosities(stack: _Made, stages: Mapping[str, Stage]) -> tuple[float, float] | None:
+    """The porosity of layers and the one that was asked for, where the whole part has one porosity.
+
+    A part with a skin or drains has another porosity than its infill, and so has a body that was changed on the way.
+    """
+    box = _number(stack.stage["summary"], "solid_share_of_box")
+    body = stages.get(stack.body)
+    if body is None or box is None:
+        return None
+    if body["stage"] != "fill.implicit" and _input(body, "cover"):
+        return None  # cells around a part, whose box has corners without cells
+    found, tiles = 1.0 - box, body
+    if body["stage"] == "fill.implicit":
+        options, domain = body.get("options", {}), stages.get(_input(body, "domain"))
+        around = None if domain is None else _number(domain["summary"], "volume_mm3")
+        if options.get("skin") or options.get("drains") or not around or around <= 0:
+            return None
+        found, tiles = 1.0 - stack.volume / around, stages.get(_input(body, "field"), {})
+    if not str(tiles.get("stage", "")).startswith(("tile.", "tune.porosity")):
+        return None
+    asked = _asked(tiles, stages)
+    return None if asked is None else (found, asked)
+
+
+def _asked(tiles: Stage, stages: Mapping[str, Stage]) -> float | None:
+    """The porosity that a tiling, or its set of tiles, was asked for; None if that was left to the recipe."""
+    sources = {port: source for port, source in tiles.get("inputs", {}).items() if source in stages}
+    if sources.keys() - {"tileset", "source", "cover"}:
+        return None  # a grading, for instance, asks for another porosity at each place
+    for stage in (tiles, *(stages[source] for port, source in sources.items() if port != "cover")):
+        options = stage.get("options", {})
+        asked = options.get("target") if stage["stage"] == "tune.porosity" else options.get("porosity")
+        if isinstance(asked, (int, float)):
+            return float(asked)
+    return None
+
+
+def _input(stage: Stage, port: str) -> str:
+    """The id of the stage at a port; empty if there is none."""
+    source = stage.get("inputs", {}).get(port)
+    return source if isinstance(source, str) else ""
+
+
+def _number(summary: Mapping[str, Any], name: str) -> float | None:
+    value = summary.get(name)
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def rows(audit: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
+    """The comparisons of a recorded audit for a report."""
+    return [
+        (one["quantity"], ("agrees: " if one["holds"] else "BREACH: ") + one["text"]) for one in audit["comparisons"]
+    ]

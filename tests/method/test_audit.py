@@ -1,0 +1,101 @@
+"""The audit of a part, from records alone."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from sppm_pipeline.method import sppm_report_sections
+from sppm_pipeline.method.audit import comparisons
+
+
+def stage(name, inputs=None, options=None, **summary):
+    return {"id": name, "stage": name, "inputs": inputs or {}, "options": options or {}, "summary": summary}
+
+
+PART = [
+    stage("read.primitive", volume_mm3=1000.0, triangles=12),
+    stage("tile.scattered", {"cover": "read.primitive"}, {"porosity": 0.7}),
+    stage("fill.implicit", {"field": "tile.scattered", "domain": "read.primitive", "skin_near": None}, {"skin": None}),
+    stage("slice.field", {"field": "fill.implicit"}),
+    stage("write.png", {"stack": "slice.field"}, solid_volume_mm3=300.0, solid_share_of_box=0.2, removed_share=0.001),
+    stage("extract.marching_cubes", {"field": "fill.implicit"}, {"caps": True}, volume_mm3=300.5, removed_share=0.0),
+]
+
+
+def audit(*changes):
+    stages = copy.deepcopy(PART)
+    for id_, place, values in changes:
+        next(one for one in stages if one["id"] == id_)[place].update(values)
+    return list(comparisons({"stages": stages}))
+
+
+def test_a_sound_part_agrees():
+    found = audit()
+    assert [one.quantity.partition(" (")[0] for one in found] == [
+        "volume of the layers", "solid removed as islands", "solid removed as islands", "porosity of the layers",
+    ]  # fmt: skip
+    assert all(one.holds for one in found)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("extract.marching_cubes", "summary", {"volume_mm3": 150.0}), "volume of the layers"),
+        (("write.png", "summary", {"removed_share": 0.02}), "solid removed as islands (write.png)"),
+        (("extract.marching_cubes", "summary", {"removed_share": 0.2}), "islands (extract.marching_cubes)"),
+        (("tile.scattered", "options", {"porosity": 0.6}), "porosity of the layers"),
+    ],
+)
+def test_each_fault_is_a_breach_of_its_own(change, words):
+    bad = [one for one in audit(change) if not one.holds]
+    assert len(bad) == 1
+    assert words in bad[0].quantity
+
+
+@pytest.mark.parametrize(
+    ("change", "count"),
+    [
+        (("fill.implicit", "options", {"skin": "1 mm"}), 3),  # a part with a skin has another porosity than its infill
+        (("fill.implicit", "options", {"drains": [[0, 0, 0, 1, 1, 1, 1]]}), 3),
+        (("tile.scattered", "inputs", {"grading": "read.primitive"}), 3),
+        (("tile.scattered", "options", {"porosity": None}), 3),
+        (("extract.marching_cubes", "inputs", {"field": "tile.scattered"}), 3),  # another body than that of the layers
+        (("extract.marching_cubes", "options", {"caps": False}), 2),
+    ],
+)
+def test_what_is_not_comparable_is_left_out(change, count):
+    found = audit(change)
+    assert len(found) == count
+    assert all(one.holds for one in found)
+
+
+def test_a_box_of_tiles_and_checks_that_hand_the_field_on():
+    stages = [
+        stage("tileset.wang_3color", {}, {"porosity": 0.5}),
+        stage("tile.wang_3color", {"tileset": "tileset.wang_3color", "cover": None}, {"cells": [3, 3, 3]}),
+        stage("check.connectivity", {"field": "tile.wang_3color"}),
+        stage("slice.field", {"field": "check.connectivity"}),
+        stage("write.png", {"stack": "slice.field"}, solid_volume_mm3=1.0, solid_share_of_box=0.47),
+    ]
+    (found,) = comparisons({"stages": stages})
+    assert (found.found, found.expected, found.holds) == (0.53, 0.5, False)
+
+
+def test_layers_of_a_mesh_are_compared_with_it():
+    stages = [
+        stage("extract.marching_cubes", {"field": None}, volume_mm3=10.0),
+        stage("slice.mesh", {"mesh": "extract.marching_cubes"}),
+        stage("write.png", {"stack": "slice.mesh"}, solid_volume_mm3=10.2, solid_share_of_box=0.2),
+    ]
+    (found,) = comparisons({"stages": stages})
+    assert not found.holds
+
+
+def test_the_report_shows_the_verdict():
+    one = {"quantity": "volume", "text": "volume: 1, expected 2 +- 0.1", "holds": False}
+    (section,) = sppm_report_sections({"audit": {"verdict": "breach", "comparisons": [one]}})
+    assert section.text == "verdict: breach"
+    assert section.rows == [("volume", "BREACH: volume: 1, expected 2 +- 0.1")]
+    assert sppm_report_sections({}) == []
