@@ -18,6 +18,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 
+def harmless(text: str) -> str:
+    """A text without what a terminal would obey: control characters, and marks that turn the order of letters round."""
+    return "".join(char if char in "\n\t" or char.isprintable() else ascii(char)[1:-1] for char in text)
+
+
+def text_of(error: BaseException) -> str:
+    """The text of an exception of foreign code, which may raise or hold escape sequences."""
+    try:
+        return harmless(str(error))
+    except Exception as second:
+        return f"(no text: its __str__ raised {harmless(type(second).__name__)})"
+
+
+def described(error: BaseException) -> str:
+    """Type and text of an exception of foreign code."""
+    return f"{harmless(type(error).__name__)}: {text_of(error)}"
+
+
 @dataclass(frozen=True)
 class Position:
     """A place in a text file; line and column count from 1. Line 0 stands for a place that is in no file."""

@@ -272,8 +272,8 @@ def sppm_audit(record: Mapping[str, Any]) -> Sequence[Comparison]:  # type: igno
 
     Called once at the end of a run whose stages have all ended well, with what ``run.json`` will hold. Returns pairs of
     numbers that must agree; they must be computed from the record alone, so that an audit costs nothing. A pair that
-    does not agree ends the run with exit code 3, or with ``audit: warn`` in the configuration is a warning; its files
-    stay. An empty sequence means: nothing to compare. Example::
+    does not agree is a warning, and ends ``sppm run`` with exit code 3 unless the configuration says ``audit: warn``.
+    An empty sequence means: nothing to compare. Example::
 
         @hookimpl
         def sppm_audit(record):

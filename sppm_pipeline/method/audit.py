@@ -94,9 +94,10 @@ def _porosities(stack: _Made, stages: Mapping[str, Stage]) -> tuple[float, float
         return None  # cells around a part, whose box has corners without cells
     found, tiles = 1.0 - box, body
     if body["stage"] == "fill.implicit":
-        options, domain = body.get("options", {}), stages.get(_input(body, "domain"))
-        around = None if domain is None else _number(domain["summary"], "volume_mm3")
-        if options.get("skin") or options.get("drains") or not around or around <= 0:
+        options, part = body.get("options", {}), body["summary"]
+        around = _number(part.get("domain", {}), "volume_mm3")
+        # an open surface has no volume
+        if options.get("skin") or options.get("drains") or not part.get("closed", True) or not around or around <= 0:
             return None
         found, tiles = 1.0 - stack.volume / around, stages.get(_input(body, "field"), {})
     if not str(tiles.get("stage", "")).startswith(("tile.", "tune.porosity")):

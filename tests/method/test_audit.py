@@ -17,7 +17,13 @@ def stage(name, inputs=None, options=None, **summary):
 PART = [
     stage("read.primitive", volume_mm3=1000.0, triangles=12),
     stage("tile.scattered", {"cover": "read.primitive"}, {"porosity": 0.7}),
-    stage("fill.implicit", {"field": "tile.scattered", "domain": "read.primitive", "skin_near": None}, {"skin": None}),
+    stage(
+        "fill.implicit",
+        {"field": "tile.scattered", "domain": "read.primitive", "skin_near": None},
+        {"skin": None},
+        domain={"volume_mm3": 1000.0},
+        closed=True,
+    ),
     stage("slice.field", {"field": "fill.implicit"}),
     stage("write.png", {"stack": "slice.field"}, solid_volume_mm3=300.0, solid_share_of_box=0.2, removed_share=0.001),
     stage("extract.marching_cubes", {"field": "fill.implicit"}, {"caps": True}, volume_mm3=300.5, removed_share=0.0),
@@ -59,6 +65,7 @@ def test_each_fault_is_a_breach_of_its_own(change, words):
     [
         (("fill.implicit", "options", {"skin": "1 mm"}), 3),  # a part with a skin has another porosity than its infill
         (("fill.implicit", "options", {"drains": [[0, 0, 0, 1, 1, 1, 1]]}), 3),
+        (("fill.implicit", "summary", {"closed": False}), 3),
         (("tile.scattered", "inputs", {"grading": "read.primitive"}), 3),
         (("tile.scattered", "options", {"porosity": None}), 3),
         (("extract.marching_cubes", "inputs", {"field": "tile.scattered"}), 3),  # another body than that of the layers

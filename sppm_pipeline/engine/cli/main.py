@@ -59,7 +59,7 @@ def leave() -> None:
     # NumPy's BLAS has its threads look for work for a twentieth of a second from the import on, and after each product,
     # before they sleep; here they sleep at once. Results stay the same.
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
-    if sys.argv[1:] and sys.argv[1] not in _ALONE:
+    if sys.argv[1:] and (sys.argv[1] not in _ALONE or "--all" in sys.argv):
         try:
             from sppm_pipeline.engine.process.supervision import supervised
 
@@ -70,14 +70,18 @@ def leave() -> None:
     os._exit(_whole())
 
 
-_ALONE = ("-h", "--help", "help", "-V", "--version", "new", "cache", "verify")
+_ALONE = ("-h", "--help", "help", "-V", "--version", "cache", "verify")
 """First words of command lines that run no code of plugins, which may hang or crash, and need no supervisor."""
 
 
 def _whole() -> int:
     """`main`, exit handlers and all."""
+    from sppm_pipeline.engine.process.activity import Activity, doing
+    from sppm_pipeline.engine.process.containment import import_seconds
+
     code = main()
-    atexit._run_exitfuncs()
+    with doing(Activity("an exit handler of a plugin or a library", False, kind="exit"), import_seconds()):
+        atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             with contextlib.suppress(OSError, ValueError):
@@ -195,13 +199,15 @@ def _reported(error: Exception, debug: bool) -> int:
     try:
         return _report(error, debug)
     except (OSError, ImportError, MemoryError):
+        from sppm_pipeline.errors import described
+
         reason = error.strerror if isinstance(error, OSError) else None
-        _say(reason or f"{type(error).__name__}: {error}")
+        _say(reason or described(error))
         return 5
 
 
 def _report(error: Exception, debug: bool) -> int:
-    from sppm_pipeline.errors import ConfigErrors, SppmError
+    from sppm_pipeline.errors import ConfigErrors, SppmError, described
 
     if debug:
         _print_chain(error)
@@ -220,7 +226,7 @@ def _report(error: Exception, debug: bool) -> int:
     if (missing := exhausted_resource(error)) is not None:
         _say(missing)
         return 5
-    _say(f"internal error: {type(error).__name__}: {error}\n  hint: run again with --debug to see where")
+    _say(f"internal error: {described(error)}\n  hint: run again with --debug to see where")
     return 1
 
 
@@ -254,8 +260,10 @@ def _mark_ended(folder: Path, status: str, error: SppmError | None) -> None:
 
 def _say(message: str) -> None:
     """Write to stderr; if it was closed, have the supervisor do so."""
+    from sppm_pipeline.errors import harmless
+
     try:
-        print(f"sppm: {message}", file=sys.stderr)
+        print(f"sppm: {harmless(message)}", file=sys.stderr)
     except (OSError, ValueError):
         from sppm_pipeline.engine.process.activity import leave_message
 

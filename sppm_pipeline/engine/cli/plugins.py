@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import Any
@@ -45,9 +46,20 @@ def _described(args: Namespace) -> Iterator[dict[str, Any]]:
         yield _entry(plugin)
 
 
+ALONE = "SPPM_CHECK_ALONE"
+"""Environment variable: this process is the child that checks one plugin."""
+
+
 def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
+    """All plugins as they are after their import; one that hangs or crashes does so in a child of its own."""
+    from sppm_pipeline.engine.plan.plugins import Plugin
     from sppm_pipeline.engine.plan.registry import Registry
 
+    broken = {} if os.environ.get(ALONE) else dict(_broken_alone(args))
+    installed = [entry for entry in _described(args) if not entry["builtin"] and entry["distribution"]]
+    if any(entry["name"] in broken for entry in installed):
+        args.allow_plugins = ",".join(entry["name"] for entry in installed if entry["name"] not in broken)
+    files, args.plugin = args.plugin, [file for file in args.plugin if str(file) not in broken]
     plugins = plugins_from(args, strict=False)
     registry = Registry(plugins)
     for plugin in plugins.plugins:
@@ -58,6 +70,49 @@ def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
             "commands": sorted(plugin.commands),
             "error": "\n".join(findings_of(plugin, registry)) or None,
         }
+    args.plugin = files
+    for entry in installed:
+        if entry["name"] in broken:
+            yield {**entry, "error": broken[entry["name"]]}
+    for file in files:
+        if str(file) in broken:
+            yield {**_entry(Plugin(str(file))), "error": broken[str(file)]}
+
+
+def _broken_alone(args: Namespace) -> Iterator[tuple[str, str]]:
+    """Plugins whose import, hooks or exit handlers end or hang a process, each with what happened."""
+    import subprocess
+    import sys
+
+    from sppm_pipeline.engine.process.containment import import_seconds
+
+    verb = [sys.executable, "-m", "sppm_pipeline", "plugins", "--check", "--json"]
+    for entry in _described(args):
+        if entry["builtin"]:
+            continue
+        name = entry["name"]
+        alone = ["--allow-plugins", name] if entry["distribution"] else ["--no-plugins", "--plugin", name]
+        try:
+            # three limits follow each other: import, hooks, exit handlers; the child's own supervisor names which
+            done = subprocess.run(
+                [*verb, *alone],
+                env={**os.environ, ALONE: "1"},
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=3 * import_seconds() + 10,
+            )
+        except subprocess.TimeoutExpired:
+            yield name, f"its check took longer than {3 * import_seconds() + 10:g} s"
+            continue
+        try:
+            json.loads(done.stdout)
+        except ValueError:
+            said = [line for line in done.stderr.splitlines() if line.strip()]
+            yield name, "\n".join(said[-3:]) or f"its check ended with exit code {done.returncode}"
+            continue
+        if done.returncode not in (0, 4) or "took longer than" in done.stderr:
+            yield name, "\n".join(done.stderr.splitlines()[-3:]) or f"exit code {done.returncode}"
 
 
 def findings_of(plugin: Any, registry: Any) -> list[str]:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 from sppm_pipeline.engine.cli.kernels import Waiting
+from sppm_pipeline.errors import harmless
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
 
 REDRAW = 0.1
@@ -225,6 +226,7 @@ class ProgressLines(Waiting):
 
     def _settle(self, text: str, *, color: int = 0, anyhow: bool = False) -> None:
         """A line that stays, above the one that redraws itself; also for the quiet, if they have to know."""
+        text = harmless(text)
         with self._lock:
             drawn = self._drawn
             self._clear()

@@ -96,6 +96,10 @@ def execute(args: Namespace) -> int:
         from sppm_pipeline.engine.process.activity import limit_run
 
         limit_run(args.time_limit)
+    if args.memory is not None:
+        from sppm_pipeline.engine.process.activity import limit_memory
+
+        limit_memory(args.memory)
     with limits_of(args):
         return _execute(args)
 
@@ -110,7 +114,7 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.engine.config.problems import raise_problems
     from sppm_pipeline.engine.plan.checking import checked
     from sppm_pipeline.engine.plan.estimate import unfit_problems
-    from sppm_pipeline.engine.run.audit import AuditBreach
+    from sppm_pipeline.engine.run.audit import breach_error
     from sppm_pipeline.engine.run.crew import fewest_samples
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
@@ -125,7 +129,6 @@ def _execute(args: Namespace) -> int:
             raise_problems(unfit_problems(estimates, path, crew=args.jobs))
     threads = args.threads or available_threads()
     cache = cache_of(args)
-    breach: AuditBreach | None = None
     stack = contextlib.ExitStack()
     monitor = _monitor(args, stack)
     try:
@@ -160,8 +163,6 @@ def _execute(args: Namespace) -> int:
                 retries=args.retries,
                 same_processor=args.same_processor,
             )
-    except AuditBreach as error:  # all stages have ended, and their numbers say what is wrong
-        record, breach = getattr(error, "record", {}), error
     except Exception as error:
         if args.json and hasattr(error, "record"):
             _print_json(error.record)
@@ -180,9 +181,9 @@ def _execute(args: Namespace) -> int:
             print(f"sppm: {line}", file=sys.stderr)
     else:
         _print_summary(record, path, {step.address: headlines_of(step) for step in (*plan.steps, *plan.after)})
-    if breach is not None:
-        raise breach
     failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
+    if plan.configuration.audit == "fail" and not failed and (breach := breach_error(record)) is not None:
+        raise breach
     if failed and not args.ignore_failed:
         codes = {run["error"]["exit_code"] for run in failed}
         return codes.pop() if len(codes) == 1 else 3
@@ -271,11 +272,15 @@ def _print_summary(
         )
         time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
         print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
-    for line in audit_lines(record.get("audit"), color=sys.stdout.isatty() and not os.environ.get("NO_COLOR")):
+    color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+    for line in audit_lines(record.get("audit"), color=color):
         print(line)
     for line in _failures(record):
         print(line)
     runs = record.get("runs", [])
+    for run in runs:
+        for text in run.get("breaches", ()):
+            print(_red(f"run {run['run']}: audit: {text}", color))
     peak = f", peak memory {record['peak_memory_mb']:.0f} MB" if record["peak_memory_mb"] else ""
     done = f", {sum(run['status'] == 'done' for run in runs)} of {len(runs)} runs" if runs else ""
     print(f"{record['status']} in {record['seconds']:.2f} s{done}{peak}: {path}")
@@ -297,7 +302,11 @@ def audit_lines(audit: Mapping[str, Any] | None, *, color: bool) -> Iterator[str
     agree = len(audit["comparisons"]) - len(bad)
     yield f"audit: {audit['verdict']}, {agree} of {len(audit['comparisons'])} comparisons agree"
     for text in bad:
-        yield f"\x1b[31m  {text}\x1b[0m" if color else f"  {text}"
+        yield _red(f"  {text}", color)
+
+
+def _red(text: str, color: bool) -> str:
+    return f"\x1b[31m{text}\x1b[0m" if color else text
 
 
 def _wrapped(texts: Sequence[str], indent: int) -> str:

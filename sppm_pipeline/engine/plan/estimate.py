@@ -15,7 +15,7 @@ from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.rates import Cost, History, Seen, by_history, cost, remember
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
 from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
-from sppm_pipeline.errors import ResourceError, SppmError
+from sppm_pipeline.errors import ResourceError, SppmError, described
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import ONE, RecipeSize, Size
 
@@ -248,7 +248,7 @@ def _size(
         follows = any(source is not None and sizes.get(source) is None for source in step.inputs.values())
         if type(error) is not LookupError and not follows:
             warnings.warn(
-                f"the estimate of {step.address!r} ({step.stage.name}) raised {type(error).__name__}: {error}; this is "
+                f"the estimate of {step.address!r} ({step.stage.name}) raised {described(error)}; this is "
                 f"a mistake in {step.owner}, and what the stage takes is unknown",
                 RuntimeWarning,
                 stacklevel=2,

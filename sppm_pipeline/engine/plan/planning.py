@@ -27,7 +27,7 @@ from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Draft, Step, Wired, recipe_names, recipe_order, wire
 from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
+from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError, described
 
 SWEEP_ID = "sweep"
 """Id under which the stages of `after` find the table of the sweep."""
@@ -324,7 +324,7 @@ def _draft(
             locate(error)
             raise
         except Exception as error:
-            raise fault(f"raised {type(error).__name__}: {error}") from error
+            raise fault(f"raised {described(error)}") from error
     return Draft(entry, cls, stage, owner), problems
 
 

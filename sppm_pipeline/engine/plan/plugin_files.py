@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, TypeGuard
 
-from sppm_pipeline.errors import PluginError
+from sppm_pipeline.errors import PluginError, harmless, text_of
 
 if TYPE_CHECKING:
     from sppm_pipeline.stage import Stage
@@ -44,7 +44,7 @@ def import_file(path: Path) -> ModuleType:
                 raise
             line = _line_in(error, path)
             raise PluginError(
-                f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {first_line(error)}",
+                f"the plugin {path}{line} can't be loaded: {first_line(error)}",
                 hint=missing_module(error),
             ) from error
     return module
@@ -108,5 +108,7 @@ def missing_module(error: Exception) -> str | None:
 
 
 def first_line(error: Exception) -> str:
-    """The first line of what an error says; its type if it says nothing."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    """The type of an error and the first line of what it says."""
+    line = next((line.strip() for line in text_of(error).splitlines() if line.strip()), "")
+    kind = harmless(type(error).__name__)
+    return f"{kind}: {line}" if line else kind

@@ -25,7 +25,7 @@ from sppm_pipeline.engine.plan.plugin_files import (
     stage_classes,
 )
 from sppm_pipeline.engine.process.containment import guarded
-from sppm_pipeline.errors import ConfigError, PluginError, SppmError
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError, described
 from sppm_pipeline.nouns.viewers import Viewer, add_viewers
 
 if TYPE_CHECKING:
@@ -219,9 +219,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         plugin.error = error
         return
     except Exception as error:
-        plugin.error = PluginError(
-            f"{plugin} can't be loaded: {type(error).__name__}: {first_line(error)}", hint=missing_module(error)
-        )
+        plugin.error = PluginError(f"{plugin} can't be loaded: {first_line(error)}", hint=missing_module(error))
         plugin.error.__cause__ = error
         return
     written_for = getattr(module, API_CONSTANT, hookspecs.API_VERSION)
@@ -256,7 +254,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
     except PluginError as error:
         plugin.error = error
     except Exception as error:
-        plugin.error = BrokenContract(f"{plugin}: {hook} raised {type(error).__name__}: {error}")
+        plugin.error = BrokenContract(f"{plugin}: {hook} raised {described(error)}")
         plugin.error.__cause__ = error
     if isinstance(module, ModuleType) and not plugin.builtin and plugin.distribution is None:
         for cls in stage_classes(module):
@@ -305,7 +303,7 @@ def imported(plugin: Plugin, what: str, target: Any) -> Any:
         raise
     except Exception as error:
         raise PluginError(
-            f"{plugin}: {what} can't be imported: {type(error).__name__}: {error}", hint=missing_module(error)
+            f"{plugin}: {what} can't be imported: {described(error)}", hint=missing_module(error)
         ) from error
 
 
@@ -321,7 +319,7 @@ def ready_command(
         except SppmError:
             raise
         except Exception as error:
-            raise PluginError(f"{plugin}: the verb {verb!r} raised {type(error).__name__}: {error}") from error
+            raise PluginError(f"{plugin}: the verb {verb!r} raised {described(error)}") from error
 
     def execute(args: Namespace) -> int:
         code = call("execute", command.execute, args)

@@ -48,12 +48,15 @@ class Activity(NamedTuple):
         Place in the configuration, or nothing.
     stage : str
         Id of the stage, or nothing.
+    kind : {"stage", "import", "exit"}
+        Which limit ends it.
     """
 
     what: str
     builtin: bool
     where: str = ""
     stage: str = ""
+    kind: str = "stage"
 
     @property
     def place(self) -> Position | None:
@@ -130,7 +133,7 @@ def _note() -> None:
     assert _shared is not None
     activity = _active[-1][0] if _active else Activity("", True)
     # what is done comes last, as it may be too long and is cut then
-    _write(_TEXT, "\0".join(["1" if activity.builtin else "", activity.where, activity.stage, activity.what]))
+    _write(_TEXT, "\0".join(["1" if activity.builtin else "", *activity[2:], activity.what]))
     _times[_STAGE] = min((deadline for _, deadline in _active), default=math.inf)
 
 
@@ -152,9 +155,9 @@ def current(file: Path | None = None) -> Activity | None:
 
     With `file`, what the process that shared it was doing when it wrote there last.
     """
-    noted = _read(_TEXT, _shared if file is None else file.read_bytes()).split("\0", 3)
-    builtin, where, stage, what = noted if len(noted) == 4 else ("", "", "", "")
-    return Activity(what, bool(builtin), where, stage) if what else None
+    noted = _read(_TEXT, _shared if file is None else file.read_bytes()).split("\0", 4)
+    builtin, where, stage, kind, what = noted if len(noted) == 5 else ("", "", "", "", "")
+    return Activity(what, bool(builtin), where, stage, kind) if what else None
 
 
 def limit_run(seconds: float) -> None:

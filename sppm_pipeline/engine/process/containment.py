@@ -16,7 +16,7 @@ from typing import Any
 
 from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.process.activity import Activity, doing, leave, note_overdue
-from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError
+from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError, described
 
 STAGE_TIME = "SPPM_STAGE_TIME"
 """Environment variable with the seconds that one stage may take; worker processes of a sweep inherit it."""
@@ -58,7 +58,7 @@ def contained(fault: Callable[[str], SppmError]) -> Iterator[None]:
         except SystemExit as error:
             raise fault(f"tried to end the program (SystemExit: {error.code!r:.80})") from error
         except BaseException as error:
-            raise fault(f"raised {type(error).__name__}: {error!s:.200}") from error
+            raise fault(f"raised {described(error):.200}") from error
         finally:
             if folder is not None and _working_folder() != folder:
                 os.chdir(folder)
@@ -82,15 +82,34 @@ def _open_streams() -> set[str]:
     return found
 
 
+IMPORT_TIME = "SPPM_IMPORT_TIME"
+"""Environment variable with the seconds that the import of a plugin may take, each of its hooks, and exit handlers."""
+
+IMPORT_SECONDS = 20.0
+"""Default of it, a heuristic: large libraries take some seconds from a cold disk."""
+
+
+def import_seconds() -> float:
+    """Seconds that the import of a plugin may take."""
+    try:
+        seconds = float(os.environ.get(IMPORT_TIME, ""))
+    except ValueError:
+        return IMPORT_SECONDS
+    return seconds if seconds > 0 else IMPORT_SECONDS
+
+
 @contextlib.contextmanager
 def guarded(what: str, fault: Callable[[str], SppmError], *, builtin: bool) -> Iterator[None]:
-    """Run code of a plugin as `contained`, built-in code as it is; what is done is noted for the supervisor."""
-    with doing(Activity(what, builtin)):
-        if builtin:
+    """Run the import or a hook of a plugin as `contained`, built-in code as it is.
+
+    The supervisor ends the process when a plugin takes longer than `import_seconds`.
+    """
+    if builtin:
+        with doing(Activity(what, builtin)):
             yield
-            return
-        with contained(fault):
-            yield
+        return
+    with doing(Activity(what, builtin, kind="import"), import_seconds()), contained(fault):
+        yield
 
 
 class _Interrupts:

@@ -9,6 +9,7 @@ forked before anything heavy is imported, which takes a millisecond.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import signal
@@ -20,7 +21,9 @@ from types import FrameType
 from typing import Any
 
 from sppm_pipeline.engine.process import activity, interruption
-from sppm_pipeline.engine.process.tree import adopt_orphans, die_with_parent, signal_below
+from sppm_pipeline.engine.process.budget import format_bytes
+from sppm_pipeline.engine.process.containment import IMPORT_TIME, import_seconds
+from sppm_pipeline.engine.process.tree import adopt_orphans, die_with_parent, resident_below, signal_below
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
 
 PATIENCE = 1.1
@@ -28,6 +31,9 @@ PATIENCE = 1.1
 
 LOOK = 0.5
 """Seconds after which the parent looks whether the child has used up its time."""
+
+SLOW_IMPORT = 3.0
+"""Seconds after which a message names the plugin that is being imported: a heuristic."""
 
 ORPHANS = 1.0
 """Seconds that processes which the child has left behind are given to end by themselves."""
@@ -137,6 +143,8 @@ class _Watch:
         self._mark_ended = mark_ended
         self._signals: list[int] = []
         self._reported = b""
+        self._memory: float | None = None
+        self._slow: set[str] = set()
         self._listening = [waking[0], reader]
         self._wake, alarm = waking
         os.set_blocking(alarm, False)
@@ -189,6 +197,13 @@ class _Watch:
         if time.monotonic() >= activity.deadlines()[0]:
             hint = "allow more with --time-limit; the same command again goes on with the stages that had ended"
             return ResourceError(f"the run took longer than --time-limit allows{doing}", hint=hint, **place)
+        if now is not None and now.kind != "stage":
+            message = f"{now.what} took longer than {import_seconds():g} s, and the process was ended"
+            return PluginError(message, hint=f"leave it out with --no-plugins, or allow more with {IMPORT_TIME}")
+        if self._memory is not None:
+            message = f"the run takes {format_bytes(self._memory)}, more than --memory allows{doing}"
+            hint = "allow more with --memory; the same command again goes on with the stages that had ended"
+            return ResourceError(message, hint=hint, **place)
         kind = ResourceError if now is None or now.builtin else PluginError
         hint = "allow more with --stage-time; it could not be interrupted, so the process was ended"
         return kind(f"a stage took longer than --stage-time allows{doing}", hint=hint, **place)
@@ -257,11 +272,31 @@ class _Watch:
             if len(self._signals) > known:
                 return None
             left = (min(activity.deadlines()) if deadline is None else deadline) - time.monotonic()
-            if left <= 0:
+            if left <= 0 or (deadline is None and self._takes_too_much()):
                 return None
+            self._report_slow_import()
             select.select(self._listening, [], [], min(left, LOOK))
             with contextlib.suppress(BlockingIOError):
                 os.read(self._wake, 4096)
+
+    def _takes_too_much(self) -> bool:
+        """Whether the child and all below it hold more memory than they may."""
+        if (limit := activity.memory_limit()) == math.inf:
+            return False
+        held = resident_below(self._child)
+        if held > limit:
+            self._memory = held
+        return held > limit
+
+    def _report_slow_import(self) -> None:
+        """Say once of each plugin that its import takes long."""
+        begun = activity.deadlines()[1] - import_seconds()
+        if not SLOW_IMPORT < time.monotonic() - begun < math.inf:
+            return
+        now = activity.current()
+        if now is not None and now.kind == "import" and now.what not in self._slow:
+            self._slow.add(now.what)
+            self._notify(f"still importing: {now.what.removeprefix('the import of ')}")
 
     def _read(self) -> None:
         """Take in what the child reports of its run directories."""

@@ -12,7 +12,7 @@ import pluggy
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import DesignError, PluginError
+from sppm_pipeline.errors import DesignError, PluginError, described
 from sppm_pipeline.hookspecs import Comparison
 
 
@@ -52,7 +52,7 @@ def audited(record: Mapping[str, Any], plugins: Sequence[Plugin], warn: Callable
                 if not all(isinstance(one, Comparison) for one in own):
                     raise TypeError("it must return instances of Comparison")
         except Exception as error:
-            words = error.message if isinstance(error, PluginError) else f"raised {type(error).__name__}: {error}"
+            words = error.message if isinstance(error, PluginError) else f"raised {described(error)}"
             warn(f"{plugin}: sppm_audit {words}")
             continue
         found += own
@@ -73,13 +73,17 @@ def _entry(one: Comparison) -> dict[str, Any]:
 _NUMBERS = ("found", "expected", "tolerance")
 
 
-def breaches(audit: Mapping[str, Any]) -> list[str]:
+def breaches(audit: Mapping[str, Any] | None) -> list[str]:
     """Comparisons of an audit that do not hold, in words."""
-    return [one["text"] for one in audit["comparisons"] if not one["holds"]]
+    return [one["text"] for one in (audit or {}).get("comparisons", ()) if not one["holds"]]
 
 
-def breach_error(texts: Sequence[str]) -> AuditBreach:
-    """The error that ends a run whose audit found these contradictions."""
+def breach_error(record: Mapping[str, Any]) -> AuditBreach | None:
+    """The error for a run, or a sweep, whose record has breaches; None if it has none."""
+    texts = breaches(record.get("audit"))
+    texts += [f"run {run['run']}: {text}" for run in record.get("runs", ()) for text in run.get("breaches", ())]
+    if not texts:
+        return None
     return AuditBreach(
         f"audit: {'; '.join(texts)}",
         hint="the files are there, and may not be what you asked for; `audit: warn` in the configuration accepts them",

@@ -21,7 +21,7 @@ from sppm_pipeline.engine.run.executors import LISTENING, default_executor, make
 from sppm_pipeline.engine.run.items import Kept, Task, name_of, run_item
 from sppm_pipeline.engine.run.outputs import staging_name
 from sppm_pipeline.engine.run.workers import Driver, announced
-from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError
+from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, described
 from sppm_pipeline.nouns.storage import save_value
 
 HERE = ("serial", "threads")
@@ -250,7 +250,7 @@ class Crew:
                 self._count([job], error)
                 self._submit(job)
             elif isinstance(error, (CancelledError, ConnectionError)):
-                text = f"the executor {self._executor!r} lost work: {type(error).__name__}: {error}"
+                text = f"the executor {self._executor!r} lost work: {described(error)}"
                 raise PluginError(text, hint="the same command goes on after the last stage that has ended") from error
             else:
                 raise error

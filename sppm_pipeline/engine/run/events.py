@@ -11,7 +11,7 @@ import pluggy
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import PluginError
+from sppm_pipeline.errors import PluginError, described
 from sppm_pipeline.hookspecs import StageEvent
 
 
@@ -79,6 +79,6 @@ class Observers:
                 with nullcontext() if plugin.builtin else contained(PluginError):
                     implementation.function(*arguments)
             except Exception as error:
-                words = error.message if isinstance(error, PluginError) else f"raised {type(error).__name__}: {error}"
+                words = error.message if isinstance(error, PluginError) else f"raised {described(error)}"
                 self._manager.unregister(name=plugin.name)
                 self._warn(f"{plugin}: sppm_stage_finished {words}; it is not called again in this run")

@@ -18,7 +18,7 @@ from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.process.resident import share_one_heap
 from sppm_pipeline.engine.process.tree import die_with_parent
-from sppm_pipeline.errors import ConfigError, PluginError, SppmError
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError, described
 from sppm_pipeline.hookspecs import hookimpl
 
 
@@ -128,7 +128,7 @@ def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
     except SppmError:
         raise
     except Exception as error:
-        raise PluginError(f"{plugin}: the executor {name!r} raised {type(error).__name__}: {error}") from error
+        raise PluginError(f"{plugin}: the executor {name!r} raised {described(error)}") from error
     if not isinstance(executor, Executor):
         raise PluginError(f"{plugin}: the executor {name!r} is no concurrent.futures.Executor")
     return executor

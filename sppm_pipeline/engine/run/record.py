@@ -20,7 +20,7 @@ from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.process.interruption import register, requested, unregister
 from sppm_pipeline.engine.process.resident import highest
-from sppm_pipeline.engine.run.audit import audited, breach_error, breaches
+from sppm_pipeline.engine.run.audit import audited, breaches
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.strict_json import json_text, sealed
@@ -179,20 +179,11 @@ class Recorder:
             self.folder.discard()
 
     def audit(self) -> None:
-        """Have plugins compare what the run has made; the verdict goes into the record.
-
-        Raises
-        ------
-        AuditBreach
-            If something does not agree, unless the configuration says ``audit: warn``.
-        """
+        """Have plugins compare what the run has made; the verdict goes into the record, a breach is a warning, too."""
         record = {"config": self._plan.document, "stages": self.stages}
         self.extra["audit"] = audit = audited(record, self._plan.plugins, self.warn)
-        if texts := breaches(audit):
-            if self._plan.configuration.audit == "fail":
-                raise breach_error(texts)
-            for text in texts:
-                self.warn(f"audit: {text}")
+        for text in breaches(audit):
+            self.warn(f"audit: {text}")
 
     def _write_failed(self, error: SppmError) -> None:
         with contextlib.suppress(ResourceError):  # a full disk; what the stage says of it is the better message

@@ -22,7 +22,16 @@ from sppm_pipeline.engine.run.context import RunContext
 from sppm_pipeline.engine.run.contract import changed, digests, is_strict, no_numbers, writable_ports
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
-from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
+from sppm_pipeline.errors import (
+    ConfigError,
+    DesignError,
+    InputError,
+    PluginError,
+    ResourceError,
+    SppmError,
+    described,
+    text_of,
+)
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.stage import Context, Observed, Recipe, Rejected, Stage
@@ -83,7 +92,7 @@ def _system_error(step: Step, error: Exception) -> SppmError:
     if missing is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
         full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
         return ResourceError(missing, hint=DISK if full else None, where=step.where, stage=step.address)
-    return _fault_of(step, f"raised {type(error).__name__}: {error}")
+    return _fault_of(step, f"raised {described(error)}")
 
 
 def _fault_of(step: Step, message: str) -> SppmError:
@@ -104,9 +113,9 @@ def _check_result(step: Step, made: Any) -> None:
         try:
             check()
         except ValueError as error:
-            raise _fault_of(step, f"made a {type(made).__name__} that contradicts itself: {error}") from error
+            raise _fault_of(step, f"made a {type(made).__name__} that contradicts itself: {text_of(error)}") from error
         except Exception as error:
-            words = f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}"
+            words = f"made a {type(made).__name__} that can't be checked: {described(error)}"
             raise _fault_of(step, words) from error
     if not step.owner.builtin and isinstance(made, Artifact):
         made.attribute(lambda message: _fault_of(step, f"made a {type(made).__name__} {message}"))
@@ -121,7 +130,7 @@ def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, 
     except SppmError:
         raise
     except Exception as error:
-        raise _fault_of(step, f"the summary of {type(made).__name__} raised {type(error).__name__}: {error}") from error
+        raise _fault_of(step, f"the summary of {type(made).__name__} raised {described(error)}") from error
     return {**reported, **{name: value for name, value in own.items() if name not in reported}}
 
 

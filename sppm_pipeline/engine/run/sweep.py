@@ -26,7 +26,7 @@ from sppm_pipeline.engine.run.runner import StepRunner
 from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, rows_of
 from sppm_pipeline.engine.run.workers import announced
 from sppm_pipeline.engine.strict_json import json_text
-from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
+from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError, described
 
 if TYPE_CHECKING:
     from sppm_pipeline.nouns.table import Table
@@ -215,7 +215,7 @@ def _run_rows(
         elif isinstance(error, SppmError):
             raise error
         else:
-            text = f"the executor {asked.executor!r} lost run {names[number]!r}: {type(error).__name__}: {error}"
+            text = f"the executor {asked.executor!r} lost run {names[number]!r}: {described(error)}"
             ended(number, failed_row(session, tasks[number], PluginError(text)))
 
     def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:

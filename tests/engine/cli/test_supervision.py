@@ -163,3 +163,55 @@ def test_a_time_limit_needs_a_supervisor(capsys):
 
     assert main(["run", "x.yaml", "--time-limit", "3"]) == 2
     assert "--time-limit needs a supervising process" in capsys.readouterr().err
+
+
+def test_an_import_or_an_exit_handler_that_hangs_is_named_and_ended(start, tmp_path, monkeypatch):
+    monkeypatch.setenv("SPPM_IMPORT_TIME", "8")
+    with start("import " + LOCKED, verb="check") as process:
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 4
+    assert "sppm: still importing: the plugin" in said
+    assert "odd.py took longer than 8 s" in said
+    with start("import __import__('atexit').register(time.sleep, 600)", verb="check") as process:
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 4
+    assert "an exit handler of a plugin or a library took longer than 8 s" in said
+
+
+def test_each_plugin_is_checked_in_a_child(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPPM_IMPORT_TIME", "8")
+    (tmp_path / "hangs.py").write_text("import time\ntime.sleep(600)\n")
+    (tmp_path / "dies.py").write_text("import os\nos._exit(0)\n")
+    (tmp_path / "good.py").write_text("import sys\nprint('hello')\n")
+    words = [word for name in ("hangs", "dies", "good") for word in ("--plugin", str(tmp_path / f"{name}.py"))]
+    command = [sys.executable, "-m", "sppm_pipeline", "plugins", "--check", "--json", "--no-plugins", *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 4
+    errors = {os.path.basename(entry["name"]): entry["error"] for entry in json.loads(done.stdout)}
+    assert "took longer than 8 s" in errors["hangs.py"]
+    assert "ended the process" in errors["dies.py"]
+    assert errors["good.py"] is None
+
+
+def test_a_run_that_takes_more_memory_than_allowed_is_ended(start):
+    with start("global held; held = np.ones(10**8); time.sleep(600)", "--memory", "500M") as process:
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 5
+    assert "more than --memory allows" in said
+    assert "'sample.odd'" in said
+
+
+@pytest.mark.parametrize("verb", ["run", "check"])
+def test_an_exception_whose_text_raises_or_holds_escapes_is_harmless(start, verb):
+    kind = "type('Odd', (Exception,), {'__str__': lambda self: 1 / 0})()"
+    escapes = "ValueError('\\x1b[2Jgone \\u202eabc')"
+    for how, words in (
+        (kind, "Odd: (no text: its __str__ raised ZeroDivisionError)"),
+        (escapes, "\\x1b[2Jgone \\u202eabc"),
+    ):
+        raising = f"import def fail(): raise {how}\nfail()" if verb == "check" else f"raise {how}"
+        with start(raising, verb=verb) as process:
+            _, said = process.communicate(timeout=120)
+        assert process.returncode == 4, said
+        assert words in said
+        assert "\x1b" not in said

@@ -12,7 +12,7 @@ from typing import Any
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.run.verification import differences, verify_run
-from sppm_pipeline.errors import InputError
+from sppm_pipeline.errors import InputError, described
 from sppm_pipeline.features.browser.live.data import head_of
 from sppm_pipeline.features.browser.live.page import (
     ASSETS,
@@ -90,7 +90,7 @@ def report_html(
         context = _context(path, record, view, raw, threads, plugins or load_plugins(distributions=False))
     except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
         raise InputError(
-            f"the record in {str(path)!r} is not as this program writes them: {type(error).__name__}: {error}",
+            f"the record in {str(path)!r} is not as this program writes them: {described(error)}",
             hint="`sppm verify` shows whether it was changed",
         ) from error
     return _rendered(context | {"note": note, "seal": str(record.get("sha256", ""))})

@@ -13,7 +13,7 @@ from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import PluginError, SppmError
+from sppm_pipeline.errors import PluginError, SppmError, described
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.nouns.report import ReportSection
 
@@ -61,7 +61,7 @@ def sections_of(record: Mapping[str, Any], plugins: Plugins) -> list[ReportSecti
                 if not all(isinstance(section, ReportSection) for section in own):
                     raise TypeError("it must return instances of ReportSection")
         except Exception as error:
-            words = error.message if isinstance(error, PluginError) else f"raised {type(error).__name__}: {error}"
+            words = error.message if isinstance(error, PluginError) else f"raised {described(error)}"
             own = [ReportSection(str(plugin), f"sppm_report_sections {words}")]
         found += own
     return found
