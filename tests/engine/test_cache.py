@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,9 +19,11 @@ from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.outputs import RunFolder
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.nouns.storage import DamagedError
 from sppm_pipeline.testing.synthetic import Number
 
 STAGES = Path(__file__).with_name("slow_stages.py")
@@ -585,3 +588,48 @@ def test_a_cache_that_others_can_write_is_refused_or_passed_over(tmp_path, monke
     own = housekeeping.cache_folder()
     assert own not in (shared, tmp_path / "home/sppm/results")
     assert own.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """A store with one entry, that holds a file."""
+    (tmp_path / "a.txt").write_text("content")
+    store = Store(tmp_path / "store")
+    store.put("k1" * 32, {"facts": {}}, outputs=[("a.txt", tmp_path / "a.txt")])
+    yield store
+    store.close()
+
+
+def test_a_restored_file_has_the_digest_that_was_stored(stored, tmp_path):
+    entry = stored.find("k1" * 32)
+    stored.restore(entry, lambda name: tmp_path / "restored.txt")
+    assert (tmp_path / "restored.txt").read_text() == "content"
+    (entry.folder / "outputs.bin").write_text("CONTENT")
+    with pytest.raises(DamagedError, match=r"the SHA-256 of 'a\.txt' differs"):
+        stored.restore(entry, lambda name: tmp_path / "restored.txt")
+
+
+@pytest.mark.parametrize("sound", [True, False])
+def test_restored_outputs_are_those_that_the_record_names(stored, tmp_path, sound):
+    folder = RunFolder(tmp_path / "run")
+    folder.prepare()
+    recorded = {"path": "a.txt", "bytes": 7, "sha256": digest_of(tmp_path / "a.txt") if sound else "0" * 64}
+    damaged = []
+    step = SimpleNamespace(id="s", address="s")
+    cache = SimpleNamespace(
+        _entries={"s": stored.find("k1" * 32)}, store=stored, damaged=lambda id_, error: damaged.append(str(error))
+    )
+    restored = session.CacheSession.restore(cache, step, folder, [recorded], lambda: None)
+    folder.discard()
+    assert restored is sound
+    assert damaged == ([] if sound else ["its outputs are not those that were recorded"])
+
+
+def test_an_entry_in_the_place_of_another_is_damaged(stored):
+    """Its manifest is sealed and sound, but says whose it is."""
+    other = stored.place("k2" * 32)
+    shutil.copytree(stored.place("k1" * 32), other)
+    with pytest.raises(DamagedError, match="it is another entry's"):
+        stored.find("k2" * 32)
+    assert not other.exists()
+    assert stored.find("k1" * 32) is not None

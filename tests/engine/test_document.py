@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml
+from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml, yaml_text
+from sppm_pipeline.engine.config.names import output_parts
 from sppm_pipeline.errors import ConfigError
 
 
@@ -243,3 +245,15 @@ def test_a_record_that_was_cut_off_is_refused(tmp_path: Path):
     path.write_text('{"sppm_run": 1, "config": {"sppm": 1, "name"')
     with pytest.raises(ConfigError):
         read_yaml(path)
+
+
+def test_a_pipe_is_no_configuration(tmp_path):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(ConfigError, match="is a pipe or a device, not a configuration file"):
+        yaml_text(tmp_path / "pipe.yaml")
+
+
+@pytest.mark.parametrize("mark", ["\u202e", "\u2066", "\u200f"])
+def test_a_name_that_turns_the_order_of_letters_round_is_refused(mark):
+    with pytest.raises(ConfigError, match=f"u{ord(mark):04x}"):
+        output_parts(f"layers{mark}gnp.exe")

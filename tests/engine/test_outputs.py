@@ -255,3 +255,27 @@ def test_temporary_files_go_with_the_run(tmp_path):
     (folder.temporary() / "x").write_bytes(b"x")
     folder.discard()
     assert [p.name for p in (tmp_path / "run").iterdir()] == []
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_recorded_outputs_behind_a_link_are_left_alone(tmp_path, linked):
+    """A record may have been changed by hand, or the folder have become a link to another since."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "mine.txt").write_text("mine")
+    run = tmp_path / "run"
+    run.mkdir()
+    if linked:
+        (run / "sub").symlink_to(outside)
+    else:
+        (run / "sub").mkdir()
+        (run / "sub" / "mine.txt").write_text("old")
+    outputs = [{"path": "sub/mine.txt"}, {"path": "../outside/mine.txt"}]
+    (run / "run.json").write_text(json_text({"sppm_run": 1, "stages": [{"outputs": outputs}]}))
+    folder = RunFolder(run)
+    folder.prepare()
+    assert folder.earlier == (set() if linked else {"sub/mine.txt"})
+    folder.settle()
+    folder.discard()
+    assert (outside / "mine.txt").read_text() == "mine"
+    assert (run / "sub").exists() is linked

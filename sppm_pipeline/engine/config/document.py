@@ -97,6 +97,9 @@ def yaml_text(path: Path) -> str:
         If it can't be read.
     """
     try:
+        # opening a pipe would wait for a writer for ever
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ConfigError(f"{str(path)!r} is a pipe or a device, not a configuration file")
         with path.open("rb") as file:
             data = file.read(MAX_RECORD + 1)
     except (FileNotFoundError, NotADirectoryError):

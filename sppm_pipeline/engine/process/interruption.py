@@ -12,6 +12,7 @@ on `within` a `Stop` ends when that is requested.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import queue
 import signal
@@ -22,7 +23,7 @@ from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import Any, Protocol
 
 from sppm_pipeline.engine.process.activity import leave
 from sppm_pipeline.engine.process.tree import signal_below
@@ -226,6 +227,7 @@ def _end(
     thread: threading.Thread, outcome: list[int | BaseException], signals: list[int], notify: Callable[[], None]
 ) -> None:
     """Ask for an end, wait for a moment, and enforce it; a second signal enforces it at once."""
+    sys.unraisablehook = functools.partial(_ignore_interrupts, sys.unraisablehook)
     request()
     raise_in(thread.ident or 0, KeyboardInterrupt)
     deadline = time.monotonic() + PATIENCE
@@ -240,6 +242,15 @@ def _end(
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
     leave(128 + signals[0])
+
+
+def _ignore_interrupts(before: Callable[[Any], Any], unraisable: Any) -> None:
+    """Say nothing of an interrupt that arrived where none can be raised, as in a callback of the linker of kernels.
+
+    It is not lost: the next call of a stage to its context raises it again.
+    """
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        before(unraisable)
 
 
 def raise_in(thread: int, kind: type[BaseException] | None) -> None:

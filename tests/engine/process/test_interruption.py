@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -86,3 +87,34 @@ def test_signals_reach_children_or_all_below(monkeypatch, recursive):
     monkeypatch.setattr(psutil, "Process", Below)
     signal_below(1, signal.SIGTERM, recursive=recursive)
     assert sent == [(2, signal.SIGTERM), (3, signal.SIGTERM)][: 1 + recursive]
+
+
+CALLBACK = """
+import ctypes, os, signal, sys, threading, time
+from sppm_pipeline.engine.process import interruption
+
+@ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_int)
+def callback(number):
+    threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    while not interruption.requested():
+        time.sleep(0.01)
+    for _ in range(10**6):  # the interrupt arrives in here, where it can't be raised
+        pass
+    return number
+
+def work():
+    callback(1)
+    interruption.check()
+    return 0
+
+try:
+    interruption.interruptibly(work, lambda: print("ended by force"))
+except interruption.Interrupted as error:
+    print("interrupted by", error.number)
+"""
+
+
+def test_an_interrupt_in_a_callback_of_native_code_prints_no_traceback():
+    done = subprocess.run([sys.executable, "-c", CALLBACK], capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "interrupted by 15"
+    assert done.stderr == ""

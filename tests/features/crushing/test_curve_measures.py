@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sppm_pipeline.features.crushing.crush_report import PLATEAU, mean_stress
 from sppm_pipeline.features.crushing.numerics.compression import loading, loading_branch, mean_and_spread, work_ratio
 from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, measures
 
@@ -154,3 +155,22 @@ def test_readings_behind_the_farthest_one_are_no_loading():
     strain, stress = loading_branch([0, 0.1, 0.05, 0.1, 0.2], [0, 1, 5, 5, 2])
     assert strain.tolist() == [0, 0.1, 0.2]
     assert stress.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("window", [(0.2, 0.4), (0.3, 0.5)])
+def test_the_plateau_is_the_mean_of_its_window_and_of_nothing_else(window):
+    """A straight rise inside, and spikes just beyond both ends, that any other window would take in or miss."""
+    strain = np.arange(601) / 1000
+    stress = 1.0 + strain
+    low, high = window
+    stress[strain < low - 1e-9] = 50.0
+    stress[strain > high + 1e-9] = 70.0
+    mean = pytest.approx(1.0 + (low + high) / 2, rel=1e-9)
+    assert numbers(strain, stress, plateau=window)["plateau_stress"] == mean
+    assert mean_stress(strain, stress, low, high) == mean
+    if window == PLATEAU:
+        assert numbers(strain, stress)["plateau_stress"] == mean
+
+
+def test_the_window_of_a_crushed_block_is_that_of_the_measures():
+    assert PLATEAU == (0.2, 0.4)

@@ -162,3 +162,8 @@ def test_hostile_lines_take_linear_time(text):
         with contextlib.suppress(InputError):
             read_readings(delimited.encode(), "a.csv")
     assert time.process_time() - start < 3
+
+
+def test_a_kilopond_is_a_kilogram_force_to_the_last_digit():
+    """Standard gravity is 9.80665 m/s2 by definition, not the 9.81 of schoolbooks."""
+    assert UNITS["force"]["kp"] == UNITS["force"]["kgf"] == 1000 * UNITS["force"]["gf"] == 9.80665
