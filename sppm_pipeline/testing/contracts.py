@@ -1,4 +1,4 @@
-"""What every stage promises, as suites to inherit from::
+"""Promises of every stage, as suites to inherit from::
 
 class TestMySampler(SamplerContract):
     def stages(self):

@@ -1,4 +1,4 @@
-"""What samplers, connectors and tile rules promise beyond any stage; see `sppm_pipeline.testing.contracts`."""
+"""Promises of samplers, connectors and tile rules beyond any stage; see `sppm_pipeline.testing.contracts`."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from sppm_pipeline.testing.stage_contract import StageContract
 
 
 class SamplerContract(StageContract):
-    """What connectors and tile sets expect of a sampler that throws interior pores."""
+    """Expectations of connectors and tile sets on a sampler that throws interior pores."""
 
     random = True
-    """Whether different seeds must give different pores."""
+    """Different seeds must give different pores."""
 
     def _thrown(self, stage: Stage, seed: int, palette: Palette, start: PoreSet | None) -> PoreSet:
         pores = stage.run(PlainContext(seed, palette=palette), start)
@@ -70,10 +70,10 @@ class SamplerContract(StageContract):
 
 
 class ConnectorContract(StageContract):
-    """What fields expect of a connector: tunnels between the pores it was given, within pieces and to the faces."""
+    """Expectations of fields on a connector: tunnels between the pores it was given, within pieces and to the faces."""
 
     connected = True
-    """Whether the pores of a periodic cell must be joined into one."""
+    """The pores of a periodic cell must be joined into one."""
 
     def inputs(self) -> Mapping[str, Any]:
         """Pores of a periodic cell without any on its faces; replace it for others."""
@@ -113,10 +113,10 @@ class ConnectorContract(StageContract):
 
 
 class TilerContract(StageContract):
-    """What fields expect of a tile rule."""
+    """Expectations of fields on a tile rule."""
 
     random = True
-    """Whether different seeds must lay different cells."""
+    """Different seeds must lay different cells."""
 
     @abstractmethod
     def tileset(self) -> TileSet:

@@ -1,4 +1,4 @@
-"""What executors of sweeps promise; see `sppm_pipeline.testing.contracts`."""
+"""Promises of executors of sweeps; see `sppm_pipeline.testing.contracts`."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from sppm_pipeline.errors import NativeCrash
 
 
 class ExecutorContract:
-    """What sweeps expect of an executor."""
+    """Expectations of sweeps on an executor."""
 
     apart = False
-    """Whether tasks run in other processes than the one that submits them."""
+    """Tasks run in other processes than the one that submits them."""
 
     @abstractmethod
     def executor(self, workers: int) -> Executor:
         """A new one, as the hook `sppm_executors` makes it."""
 
     def test_results_belong_to_their_tasks(self) -> None:
-        """Whatever the order in which they end."""
+        """In any order of their ends."""
         with self.executor(2) as executor:
             futures = [executor.submit(pow, base, exp=2) for base in range(5)]
             assert [future.result(timeout=60) for future in futures] == [0, 1, 4, 9, 16]

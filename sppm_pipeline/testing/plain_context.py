@@ -123,7 +123,7 @@ class PlainContext(RunContext):
 
     @property
     def directory(self) -> Path:
-        """Where outputs go."""
+        """Folder of the outputs."""
         if self._directory is None:
             self._directory = Path(tempfile.mkdtemp(prefix="sppm-"))
             weakref.finalize(self, shutil.rmtree, self._directory, ignore_errors=True)
@@ -131,12 +131,12 @@ class PlainContext(RunContext):
 
     @property
     def reported(self) -> Mapping[str, Any]:
-        """What the stage reported."""
+        """Numbers that the stage reported."""
         return self.log.values.get(self.address, {})
 
     @property
     def warnings(self) -> list[str]:
-        """What the stage and those of its recipes warned of."""
+        """Warnings of the stage and of those of its recipes."""
         return [message for _, message in self.log.warnings]
 
     @property

@@ -1,4 +1,4 @@
-"""What fields, slicers, writers and homogenizers promise beyond any stage; see `sppm_pipeline.testing.contracts`."""
+"""Promises of fields, slicers, writers and homogenizers beyond any stage; see `sppm_pipeline.testing.contracts`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sppm_pipeline.testing.stage_contract import StageContract
 
 
 class SlicerContract(StageContract):
-    """What writers of layers expect of a stage that makes a stack of them."""
+    """Expectations of writers of layers on a stage that makes a stack of them."""
 
     def test_layers_come_from_the_bottom_without_a_gap(self) -> None:
         """As many and as large as the stack says; bytes that don't depend on threads, in between only if it is gray."""
@@ -46,7 +46,7 @@ class SlicerContract(StageContract):
 
 
 class FieldContract(StageContract):
-    """What meshing, slicing and homogenization expect of a field."""
+    """Expectations of meshing, slicing and homogenization on a field."""
 
     def _fields(self) -> Iterator[ScalarField]:
         for stage in self.stages():
@@ -85,7 +85,7 @@ class FieldContract(StageContract):
 
 
 class WriterContract(StageContract):
-    """What users expect of a stage that writes."""
+    """Expectations of users on a stage that writes."""
 
     def test_writes_where_it_is_told(self) -> None:
         """The file or folder of the option `path`, with something in it; others beside it begin with its name."""
@@ -102,7 +102,7 @@ class WriterContract(StageContract):
 
 
 class HomogenizerContract(StageContract):
-    """What is true of an effective stiffness, whatever the method; the port of the stage takes images."""
+    """Properties of an effective stiffness, whatever the method; the port of the stage takes images."""
 
     port = "source"
 

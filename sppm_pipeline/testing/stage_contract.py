@@ -1,4 +1,4 @@
-"""What every stage promises, as a suite to inherit from; see `sppm_pipeline.testing.contracts`."""
+"""Promises of every stage, as a suite to inherit from; see `sppm_pipeline.testing.contracts`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sppm_pipeline.testing.plain_context import PlainContext
 
 
 class StageContract:
-    """What the engine expects of any stage."""
+    """Expectations of the engine on any stage."""
 
     @abstractmethod
     def stages(self) -> Sequence[Stage]:
@@ -32,7 +32,7 @@ class StageContract:
         return {}
 
     def palette(self) -> Palette:
-        """How many interiors and colors are asked for."""
+        """Number of interiors and colors that are asked for."""
         return Palette()
 
     def _run(self, stage: Stage, *, seed: int = 5, threads: int = 1, workers: int = 0) -> tuple[Any, PlainContext]:
@@ -96,7 +96,7 @@ class StageContract:
                 json_text(jsonable(made.summary()))
 
     def test_same_seed_same_result(self) -> None:
-        """Whatever the number of threads, and whether workers do what it maps (`Context.map`)."""
+        """Same result for any number of threads, and whether workers do what it maps (`Context.map`)."""
         for stage in self.stages():
             first, context = self._digest_and_context(stage)
             assert self._digest(stage) == first

@@ -144,7 +144,7 @@ class DaskExecutor(Executor):
             outer.cancel()
             inner.cancel()
             raise BrokenExecutor(self._broken)
-        # cut when there is an outcome: the workers keep a result until nobody here refers to its future
+        # cut when there is an outcome: the workers keep a result as long as this process refers to its future
         link = [inner]
         outer.add_done_callback(functools.partial(_cancel, link))
         inner.add_done_callback(functools.partial(_pass_on, outer, link))
@@ -220,7 +220,7 @@ def _give_up(futures: Iterable[Future[Any]], error: Exception) -> None:
 def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:
     """A client of the cluster that `where` names; one that is started ends with `ending`."""
     if not where:
-        # what it writes goes with it
+        # its files are removed with it
         scratch = ending.enter_context(TemporaryDirectory(prefix="sppm-dask-", ignore_cleanup_errors=True))
         ending.enter_context(dask.config.set(LOCAL))
         cluster = LocalCluster(
@@ -252,7 +252,7 @@ def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:
 
 
 def _counted(workers: int, where: str, client: Any) -> str:
-    """How many workers there are, or may be."""
+    """Number of workers, in words."""
     if where in QUEUES:
         return f"at most {workers} jobs of {where}"
     there = len(client.scheduler_info(n_workers=-1)["workers"])
@@ -266,10 +266,10 @@ def _cancel(link: list[Future[Any]], outer: Future[Any]) -> None:
 
 
 def _pass_on(outer: Future[Any], link: list[Future[Any]], inner: Future[Any]) -> None:
-    """Give the outcome of Dask's future to ours, which somebody may cancel meanwhile."""
+    """Give the outcome of Dask's future to the engine's, which may be canceled meanwhile."""
     link.clear()
     with contextlib.suppress(InvalidStateError):
-        if inner.cancelled():  # not by us
+        if inner.cancelled():  # not by this process
             outer.set_exception(ConnectionError(GONE))
         elif (error := inner.exception()) is None:
             outer.set_result(inner.result())

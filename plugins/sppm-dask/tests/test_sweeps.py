@@ -19,7 +19,7 @@ from sppm_dask.executor import LOCAL
 
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.process import containment
-from sppm_pipeline.engine.run.crew import Crew
+from sppm_pipeline.engine.run.crew import WorkerPool
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
@@ -32,6 +32,8 @@ from pathlib import Path
 from typing import ClassVar
 from sppm_pipeline import Context, PoreSet, Stage, option
 from sppm_pipeline.engine.process import containment
+
+containment.GRACE, containment.LAST = 0.5, 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Trouble(Stage):
@@ -48,10 +50,7 @@ class Trouble(Stage):
         while waits.exists():
             time.sleep(0.02)
         if Path(__file__).with_name(f"stops-{self.row}").exists():
-            containment.GRACE, containment.LAST = 0.5, 0.5
-            os.environ[containment.STAGE_TIME] = "1"
-            with containment.limited("the stage 'check.trouble'", builtin=False):
-                os.kill(os.getpid(), signal.SIGSTOP)
+            os.kill(os.getpid(), signal.SIGSTOP)
 '''
 
 SWEEP = """sppm: 1
@@ -182,11 +181,11 @@ def test_a_deadly_row_fails_alone(cluster, tmp_path):
 
 def test_a_stopped_row_is_ended_once_and_named(cluster, tmp_path, monkeypatch):
     file = prepare(tmp_path, 4, "stops-1")
-    monkeypatch.setenv(containment.STAGE_TIME, "300")  # which the workers, started before, have not inherited
+    monkeypatch.setenv(containment.STAGE_TIME, "20")  # which the workers, started before, have not inherited
     record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}")
     assert statuses(record) == ["done", "failed", "done", "done"]
     assert record["runs"][1]["attempts"] == 1
-    assert "the stage 'check.trouble' took longer than" in table_of(folder)[1]["error"]
+    assert "the stage 'check.trouble' took longer than the 20 seconds" in table_of(folder)[1]["error"]
 
 
 def test_workers_that_are_gone_are_reported(cluster, tmp_path, monkeypatch):
@@ -301,7 +300,7 @@ def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(cluster, tmp_
     for to, executor in (("serial", None), ("cluster", f"dask:{cluster.scheduler_address}")):
         path, crew = tmp_path / to, None
         if executor is not None:
-            crew = Crew(session.plugins, path, executor=executor, workers=2, threads=2)
+            crew = WorkerPool(session.plugins, path, executor=executor, workers=2, threads=2)
         record = run_plan(session.plan(), path, threads=2, crew=crew)
         found.append((outputs(path), record["stages"][-1]["summary"]))
         (tmp_path / "once").unlink()  # of the worker that has died

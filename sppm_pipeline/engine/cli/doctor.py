@@ -105,7 +105,7 @@ def _kernel_cache() -> Iterator[Finding]:
     """Folder of compiled kernels and its state."""
     from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root, passed_over
-    from sppm_pipeline.services.jit.machine_code import hindrance
+    from sppm_pipeline.services.jit.machine_code import reason_unavailable
 
     folder = kernel_cache_root()
     writable, found = _writable(folder)
@@ -114,7 +114,7 @@ def _kernel_cache() -> Iterator[Finding]:
     listed = listed_kernels()
     if left := missing(listed):
         state += f"; {len(left)} of {len(listed)} that are common are not, which `sppm doctor --kernels` compiles"
-    if why := hindrance():
+    if why := reason_unavailable():
         state += f"; Numba starts them ({why}), which takes longer"
     for place, reason in passed_over().items():
         state += f"; {place} is not used: {reason}"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.cli.kernels import Waiting
     from sppm_pipeline.engine.plan.session import Session
     from sppm_pipeline.engine.plan.wiring import Step
-    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.engine.run.crew import WorkerPool
     from sppm_pipeline.stage import Headline
 
 
@@ -115,7 +115,7 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.engine.plan.checking import checked
     from sppm_pipeline.engine.plan.estimate import unfit_problems
     from sppm_pipeline.engine.run.audit import breach_error
-    from sppm_pipeline.engine.run.crew import fewest_samples
+    from sppm_pipeline.engine.run.crew import min_samples
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
@@ -124,7 +124,7 @@ def _execute(args: Namespace) -> int:
     plan, rows, estimates = checked(session, args.until, folder=path, jobs=args.jobs, history=history_of_machine(args))
     fewest = 0.0
     if args.jobs > 1 and not rows:
-        fewest = fewest_samples(args.executor, estimates[0])
+        fewest = min_samples(args.executor, estimates[0])
         if fewest < math.inf and (args.executor or default_executor(args.jobs)) == "processes":
             raise_problems(unfit_problems(estimates, path, crew=args.jobs))
     threads = args.threads or available_threads()
@@ -211,17 +211,17 @@ def _crew(
     cache: Path | None,
     monitor: Waiting,
     fewest: float,
-) -> Crew | None:
+) -> WorkerPool | None:
     """The workers of a single run, if it is to have any; started when a stage asks for them."""
     if args.executor is None and args.jobs == 1:
         return None
-    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.engine.run.crew import WorkerPool
     from sppm_pipeline.engine.run.executors import require_executor
 
     require_executor(args.executor, args.jobs, session.plugins)
-    if not Crew.wanted(args.executor, args.jobs):
+    if not WorkerPool.wanted(args.executor, args.jobs):
         return None
-    return Crew(
+    return WorkerPool(
         session.plugins,
         path,
         executor=args.executor,

@@ -1,11 +1,11 @@
-"""What a run may take, how it ends, and native code that may crash, hang or use up all memory.
+"""Limits of a run, its end, and native code that may crash, hang or use up all memory.
 
 A segmentation fault can't be caught, an endless loop in C can't be interrupted, and some libraries write into the
 current folder or remove Python's signal handlers. `run_native` calls one named function in a fresh interpreter in a
-private folder, with a limit of time and of memory, and returns a result that was checked or raises one of our errors.
+private folder, with a limit of time and of memory, and returns a result that was checked or raises an `SppmError`.
 
 Promised: no pickle is read; the child and all processes that it started are gone when `run_native` returns, raises or
-its process dies, even by SIGKILL; the private folder goes with them, or is removed by a later run. *Not* promised:
+its process dies, even by SIGKILL; the private folder is gone, too, or is removed by a later run. *Not* promised:
 protection from malice. The child has the user's rights and may write wherever the user may.
 """
 

@@ -32,11 +32,11 @@ _ENDS = 3 * 8
 """The byte that says whether the process means to end."""
 
 _TEXT, _WORDS = _ENDS + 8, _ENDS + 8 + _AREA
-"""Where what is being done and the last message begin; each is its length and UTF-8."""
+"""Offsets of the activity and of the last message; each is its length and UTF-8."""
 
 
 class Activity(NamedTuple):
-    """What is being done.
+    """Current activity of a process.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ _active: list[tuple[Activity, float]] = []
 
 
 def share(file: Path | None = None) -> None:
-    """Share what is noted from now on with children forked from this process, or with whoever reads `file`."""
+    """Share what is noted from now on with children forked from this process, or with a reader of `file`."""
     global _shared, _times, _file
     size = _WORDS + _AREA
     if file is None:
@@ -116,6 +116,7 @@ def doing(activity: Activity, seconds: float = math.inf) -> Iterator[None]:
         return
     if run := _run.get():
         activity = activity._replace(what=f"{activity.what} of run {run!r}")
+    # the clock of `time.monotonic` is one for all processes of a machine
     entry = (activity, time.monotonic() + seconds)
     with _lock:
         _active.append(entry)
@@ -151,7 +152,7 @@ def _read(at: int, data: mmap.mmap | bytes | None) -> str:
 
 
 def current(file: Path | None = None) -> Activity | None:
-    """What is being done, of several things what was begun last; None if nothing was noted.
+    """Current activity, of several the one begun last; None if nothing was noted.
 
     With `file`, what the process that shared it was doing when it wrote there last.
     """
@@ -217,7 +218,7 @@ def note_overdue(notes: Path | None = None) -> None:
 
 
 def overdue(notes: Path) -> Activity | None:
-    """What was being done in a run of a sweep when its time was up; None if it was not."""
+    """Activity of a run of a sweep when its time was up; None if it was not."""
     try:
         return Activity(*json.loads(overdue_file(notes).read_bytes()))
     except (OSError, ValueError, TypeError):
@@ -232,7 +233,7 @@ def leave(code: int) -> None:
 
 
 def was_left() -> bool:
-    """Whether the process has ended by `leave`."""
+    """True if the process has ended by `leave`."""
     return _shared is not None and _shared[_ENDS] == 1
 
 
@@ -243,5 +244,5 @@ def leave_message(text: str) -> None:
 
 
 def last_message() -> str:
-    """What the process could not print."""
+    """Message that the process could not print."""
     return _read(_WORDS, _shared)

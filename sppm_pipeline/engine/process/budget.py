@@ -1,4 +1,4 @@
-"""How much memory and disk a run may take, how much is left, and which errors say that a resource is exhausted.
+"""Memory and disk that a run may take, what is left of them, and which errors say that a resource is exhausted.
 
 One answer for everybody: the refusal of a run by its estimate, stages that plan or check their memory, and the limit of
 native children all start from `allowed_memory`, which is the minimum of
@@ -246,12 +246,12 @@ def _mounted_groups() -> Iterator[tuple[_Files, Path, Path]]:
 
 
 def _proc() -> Path:
-    """Where the system shows its processes; whoever has it elsewhere tells psutil."""
+    """Mount point of procfs, `psutil.PROCFS_PATH` if that is set."""
     return Path(getattr(sys.modules.get("psutil"), "PROCFS_PATH", "/proc"))
 
 
 def _folder(path: str, root: str, top: Path) -> Path:
-    """Where a group lies; the top of what is mounted if the group is outside of it."""
+    """Folder of a group; the top of what is mounted if the group is outside of it."""
     inner = os.path.relpath(path, root)
     return top if inner == "." or inner.startswith("..") else top / inner
 

@@ -1,6 +1,6 @@
 """Running code of plugins: what it raises is caught, what it prints is kept apart, the time it takes is limited.
 
-A plugin is code and runs with the rights of the user; this module is no jail. It keeps an honest mistake in one plugin
+A plugin is code and runs with the rights of the user; this module is no jail. It keeps a mistake in one plugin
 from becoming a puzzle: whatever a plugin does wrong ends in one error that names it.
 """
 
@@ -47,13 +47,15 @@ def contained(fault: Callable[[str], SppmError]) -> Iterator[None]:
     with _REDIRECTION, interrupts:
         try:
             yield
+            # a plugin that closes stdout would make every later result vanish
             if lost := streams - _open_streams():
                 raise fault(f"closed the standard {' and the standard '.join(sorted(lost))}")
         except (Exception, _TimeUp):
             raise
         except KeyboardInterrupt:
+            # a plugin may raise KeyboardInterrupt by itself, which would look like Ctrl-C
             if not (interrupts.seen or interruption.requested()):
-                raise fault("raised KeyboardInterrupt, though nobody interrupted it") from None
+                raise fault("raised KeyboardInterrupt, though there was no interrupt") from None
             raise
         except SystemExit as error:
             raise fault(f"tried to end the program (SystemExit: {error.code!r:.80})") from error
@@ -181,7 +183,7 @@ def limited(what: str, *, builtin: bool, where: Position | None = None, stage: s
         The stage and its owner, for the message.
     builtin : bool
     where, stage : optional
-        Place and id of the stage, for an error that nobody catches any more.
+        Place and id of the stage, for an error that is not caught any more.
 
     Raises
     ------

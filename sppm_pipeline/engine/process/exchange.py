@@ -1,7 +1,7 @@
-"""What our process and a native child exchange: a private folder, arrays in .npy files, and progress through a pipe.
+"""Exchange with a native child: a private folder, arrays in .npy files, and progress through a pipe.
 
 The folder is locked by its owner with ``flock`` on the folder itself. The system releases the lock when the owner
-ends, however it ends; so a folder that can be locked belongs to nobody and is removed. There is no lock file to forget.
+ends, however it ends; so a folder that can be locked has no owner and is removed. There is no lock file to forget.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 PREFIX = "sppm-native-"
-"""How the names of private folders begin."""
+"""Prefix of the names of private folders."""
 
 LONGEST_LINE = 511
 """Bytes of a line; with its end any system writes it to a pipe in one piece."""
@@ -49,7 +49,7 @@ class ArraySpec(NamedTuple):
         return f"{self.dtype} of shape ({', '.join('any' if n is None else str(n) for n in self.shape)})"
 
     def problem(self, array: NDArray[Any]) -> str | None:
-        """What is wrong with `array`, or None."""
+        """Reason why `array` does not fit, or None."""
         fits = len(array.shape) == len(self.shape) and all(
             wanted in (None, there) for wanted, there in zip(self.shape, array.shape, strict=True)
         )

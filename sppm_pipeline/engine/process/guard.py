@@ -28,6 +28,7 @@ def guard(notes: Path) -> None:
     """Have the guard of this process, started when needed, watch the file that it shares now."""
     global _guard
     if _guard is None or _guard.poll() is not None:
+        # isolated: neither the environment nor site packages, which take time and may hold faults
         command = [sys.executable, "-I", "-S", __file__, str(os.getpid())]
         _guard = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     assert _guard.stdin is not None
@@ -46,6 +47,7 @@ def _main() -> None:
     for name in ("SIGINT", "SIGHUP"):  # the terminal sends them to all; the worker's parent decides
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     notes, before = None, 0.0
+    # a guard whose worker is gone has another parent
     while os.getppid() == worker:
         if select.select([0], [], [], LOOK)[0]:
             lines = os.read(0, 1 << 16).splitlines()

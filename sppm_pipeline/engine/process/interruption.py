@@ -1,4 +1,4 @@
-"""How a run is interrupted within two seconds, whatever it is doing, and what puts its records in order if it hangs.
+"""Interruption of a run within two seconds, whatever it is doing; its records are put in order even if it hangs.
 
 A stage may be deep inside of compiled code that does not see signals. So work goes on in a thread of its own while the
 main thread waits for signals (`interruptibly`). When one comes, the next call of a stage to its context raises
@@ -58,7 +58,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Stop:
-    """Asks one piece of work to end, whoever else is at work in this process."""
+    """Asks one piece of work to end, whatever else goes on in this process."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
@@ -69,7 +69,7 @@ class Stop:
 
     @property
     def requested(self) -> bool:
-        """Whether it was asked to end."""
+        """True if it was asked to end."""
         return self._event.is_set()
 
 
@@ -77,7 +77,7 @@ _requested = threading.Event()
 _scope: ContextVar[Stop | None] = ContextVar("sppm-stop", default=None)
 """Of each thread; work that is handed to other threads takes it along (`current_stop`)."""
 _running: list[tuple[Cancelable, int]] = []
-"""What runs, and in which thread."""
+"""Runs, and the thread of each."""
 _observers: list[Callable[[Path], None]] = []
 
 
@@ -88,7 +88,7 @@ def request() -> None:
 
 @contextlib.contextmanager
 def within(stop: Stop) -> Iterator[None]:
-    """What this thread does inside ends by `KeyboardInterrupt` if `stop` is requested."""
+    """Work of this thread inside ends by `KeyboardInterrupt` if `stop` is requested."""
     token = _scope.set(stop)
     try:
         yield
@@ -97,7 +97,7 @@ def within(stop: Stop) -> Iterator[None]:
 
 
 def current_stop() -> Stop | None:
-    """What this thread works within, for threads that help it."""
+    """The scope that this thread works within, for threads that help it."""
     return _scope.get()
 
 
@@ -108,7 +108,7 @@ def check(stop: Stop | None = None) -> None:
 
 
 def requested(stop: Stop | None = None) -> bool:
-    """Whether everything was asked to stop, or `stop` was, or what this thread works within."""
+    """True if everything was asked to stop, or `stop` was, or what this thread works within."""
     own = stop or _scope.get()
     return _requested.is_set() or (own is not None and own.requested)
 
@@ -163,7 +163,7 @@ def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
     ----------
     work : function
     notify : function
-        Tells the user, before the process is ended.
+        Notifies the user, before the process is ended.
 
     Raises
     ------

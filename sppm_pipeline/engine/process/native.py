@@ -48,7 +48,7 @@ _running_lock = threading.Lock()
 
 
 class NativeResult(NamedTuple):
-    """What the child returned.
+    """Result of the child.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def run_native(
     PluginError
         If the function raised, ended its process, or returned something else than was specified.
     SppmError
-        What the function raised itself, if it is one of ours; class, message and hint are kept.
+        What the function raised itself, if it is an `SppmError`; class, message and hint are kept.
     ValueError
         If `arrays`, `options` or a limit make no sense.
     """
@@ -215,7 +215,7 @@ def _child(folder: Path, environment: Mapping[str, str], progress: int) -> Itera
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         bufsize=0,
-        start_new_session=True,  # a Ctrl-C in the terminal is ours to handle
+        start_new_session=True,  # this process handles a Ctrl-C in the terminal
         pass_fds=(progress,),
     )
     assert process.stdin is not None

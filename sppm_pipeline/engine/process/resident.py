@@ -13,9 +13,9 @@ import time
 from types import TracebackType
 
 PERIOD = 0.05
-"""Seconds between two looks, each of which takes .1 ms: .2 % of a processor; shorter peaks below the highest so far are
-missed. To have Linux forget the highest (`/proc/self/clear_refs`) would be exact, but those who start the program and
-ask the system afterwards for the most it took would be told too little."""
+"""Seconds between two looks, each of which takes 0.1 ms: 0.2 % of a processor; shorter peaks are missed. To have Linux
+forget the highest (`/proc/self/clear_refs`) would be exact, but those who start the program and ask the system
+afterwards for the most it took would see too little."""
 
 LINGER = 1.0
 """Seconds that the looking thread waits for something else to begin: to start one costs as much as half a look."""

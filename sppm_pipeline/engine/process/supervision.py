@@ -60,9 +60,9 @@ def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_mess
     work : function
         Returns an exit code; runs in the child, which is left at once when it ends.
     notify : function of str
-        Tells the user.
+        Notifies the user.
     exit_message : str
-        What the user is told if the work was interrupted.
+        Message for the user if the work was interrupted.
     mark_ended : function of path, status and error
         Puts a run directory in order that the child can't put in order any more.
     """
@@ -73,6 +73,7 @@ def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_mess
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
     parent = os.getpid()
+    # before the fork, so that both have the page
     activity.share()
     # until each of the two has said what it does with a signal, one that comes has to wait
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
@@ -120,7 +121,7 @@ _parents: list[int] = []
 
 
 def is_supervised() -> bool:
-    """Whether this is the child of `supervised`."""
+    """True if this is the child of `supervised`."""
     return bool(_parents)
 
 
@@ -147,6 +148,7 @@ class _Watch:
         self._slow: set[str] = set()
         self._listening = [waking[0], reader]
         self._wake, alarm = waking
+        # the handler of a signal must never wait
         os.set_blocking(alarm, False)
         os.set_blocking(self._wake, False)
         os.set_blocking(reader, False)
@@ -177,9 +179,11 @@ class _Watch:
         if arrived:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._child, signal.SIGTERM)
+            # asked first: the child puts its records in order itself
             status = self._wait(time.monotonic() + PATIENCE, arrived)
         error = None if self._signals else self._overdue()
         if status is None:
+            # its children first, while they can be found below it
             signal_below(self._child, signal.SIGKILL)
             os.kill(self._child, signal.SIGKILL)
             os.waitpid(self._child, 0)
@@ -213,6 +217,7 @@ class _Watch:
         now, doing, place = _doing()
         if not os.WIFSIGNALED(status):
             code = os.WEXITSTATUS(status)
+            # a plugin that calls os._exit(0) must not look like success
             if not activity.was_left():  # by whatever, but not by the program
                 kind = SppmError if now is None or now.builtin else PluginError
                 who = now.what if now is not None else "something"
@@ -231,8 +236,9 @@ class _Watch:
             )
             message = f"a native library crashed ({name}){doing}"
             return self._failed(NativeCrash(message, hint=hint, **place), NativeCrash.exit_code)
+        # killed from outside: the run is as good as interrupted, and can go on
         self._tidy_up("interrupted", None)
-        if number in ENDING and self._signals:  # both were told to end, and the child had no handler yet
+        if number in ENDING and self._signals:  # both were asked to end, and the child had no handler yet
             self._notify(self._exit_message)
             return 128 + self._signals[0]
         cause = ", perhaps because memory ran out" if number == signal.SIGKILL else ""
@@ -245,7 +251,7 @@ class _Watch:
         return code
 
     def _end_orphans(self) -> None:
-        """End what the child has left behind, which is ours now where the system lets us adopt it."""
+        """End what the child has left behind, which this process has adopted where the system lets us adopt it."""
         until, left = time.monotonic() + ORPHANS, False
         while True:
             try:
@@ -280,9 +286,10 @@ class _Watch:
                 os.read(self._wake, 4096)
 
     def _takes_too_much(self) -> bool:
-        """Whether the child and all below it hold more memory than they may."""
+        """True if the child and all below it hold more memory than they may."""
         if (limit := activity.memory_limit()) == math.inf:
             return False
+        # compared twice a second: a stage that takes gigabytes in a moment is ended a moment later
         held = resident_below(self._child)
         if held > limit:
             self._memory = held
@@ -313,7 +320,7 @@ class _Watch:
 
 
 def _doing() -> tuple[activity.Activity | None, str, dict[str, Any]]:
-    """What the child is doing, as the end of a message, and where in the configuration."""
+    """Activity of the child, as the end of a message, and where in the configuration."""
     now = activity.current()
     if now is None:
         return None, "", {}

@@ -1,5 +1,6 @@
-"""The process between ours and the worker. Run as a script; it loads little of the standard library, so as to be there
-at once, and psutil only if there is something left to end.
+"""The process between the main process and the worker. Run as a script.
+
+It loads little of the standard library, so as to be there at once, and psutil only if there is something left to end.
 
 The worker may be stuck in native code, so it can't watch over itself; and our process may be killed at any time, so it
 can't do that either. This process does nothing else. It ends the worker and every process below it when its standard
@@ -69,7 +70,7 @@ def main() -> None:
 
 
 def _kill_all(worker: int) -> None:
-    """Kill everything below us. The children of what was killed become ours, so it is repeated until none is left."""
+    """Kill everything below this process, again and again, as the children of what was killed become its own."""
     from sppm_pipeline.engine.process.tree import signal_below
 
     with contextlib.suppress(ProcessLookupError, PermissionError):

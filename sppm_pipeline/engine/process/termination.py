@@ -1,4 +1,4 @@
-"""How a native child terminated: its result, or the exception that fits, with a message."""
+"""Termination of a native child: its result, or the exception that fits, with a message."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ E = TypeVar("E", bound=SppmError)
 _SHOWN_LINES, _SHOWN_WIDTH = 8, 160
 
 _NO_MEMORY = (b"bad_alloc", b"annot allocate memory", b"ut of memory", b"MemoryError", b"bad allocation")
-"""What libraries print before they give up without memory."""
+"""Messages of libraries that give up without memory."""
 
 
 class Task(NamedTuple):
-    """What messages name of the call."""
+    """Parts of a call that messages name."""
 
     distribution: str
     seconds: float
@@ -38,7 +38,7 @@ class Task(NamedTuple):
 
 
 class Termination(NamedTuple):
-    """How the child ended.
+    """End of the child.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ def outcome_of(termination: Termination, task: Task, path: Path) -> dict[str, An
         raise error_of(PluginError, termination, task, f"ended{code} without a result", task.hint)
     if "memory" in outcome:
         raise _memory(termination, task)
-    if "ours" in outcome:
-        kind = getattr(errors, outcome["ours"])
+    if "known" in outcome:
+        kind = getattr(errors, outcome["known"])
         if kind is errors.ConfigErrors:
             kind = errors.ConfigError
         raise kind(outcome["message"], hint=outcome["hint"])

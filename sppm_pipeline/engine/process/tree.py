@@ -46,6 +46,7 @@ def resident_below(pid: int) -> int:
             first = psutil.Process(pid)
             for process in (first, *first.children(recursive=True)):
                 with contextlib.suppress(psutil.Error):
+                    # libraries are mapped by every process of a sweep, and in memory once
                     held = process.memory_info()
                     total += held.rss - getattr(held, "shared", 0)
     return total

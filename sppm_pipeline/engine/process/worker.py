@@ -69,7 +69,7 @@ def _described(error: BaseException) -> dict[str, Any]:
 
     if isinstance(error, errors.SppmError):
         known = next(cls.__name__ for cls in type(error).__mro__ if getattr(errors, cls.__name__, None) is cls)
-        return {"ours": known, "message": error.message[:4000], "hint": error.hint and error.hint[:4000]}
+        return {"known": known, "message": error.message[:4000], "hint": error.hint and error.hint[:4000]}
     described = {"raised": type(error).__name__, "message": str(error)[:4000]}
     if isinstance(error, ModuleNotFoundError) and error.name:
         described["module"] = error.name

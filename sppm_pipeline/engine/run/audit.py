@@ -17,7 +17,7 @@ from sppm_pipeline.hookspecs import Comparison
 
 
 class AuditBreach(DesignError):
-    """What a run has made contradicts itself or what was asked for."""
+    """The results of a run contradict each other or what was asked for."""
 
 
 def audited(record: Mapping[str, Any], plugins: Sequence[Plugin], warn: Callable[[str], None]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from sppm_pipeline.nouns.storage import DamagedError
 from sppm_pipeline.stage import Context
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.engine.run.crew import WorkerPool
 
 
 def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.random.Generator:
@@ -38,6 +38,7 @@ def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.rand
     recipe's name and attempt (``cell@2``), and the id. Seed, path and key are hashed together with their lengths in
     front, so that different draws can't share a generator.
     """
+    # lengths in front, so that ("ab", "c") and ("a", "bc") differ
     words = [str(seed), str(len(path)), *path, *(str(operator.index(k)) for k in key)]
     text = "".join(f"{len(word)}:{word}" for word in words)
     entropy = int.from_bytes(hashlib.sha256(text.encode()).digest(), "little")
@@ -45,7 +46,7 @@ def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.rand
 
 
 class StageLog:
-    """What the stages of one step of the pipeline report, those of its recipes included.
+    """Reports of the stages of one step of the pipeline, those of its recipes included.
 
     Attributes
     ----------
@@ -81,6 +82,7 @@ class StageLog:
     def warn(self, stage: str, message: str) -> None:
         """Keep a warning and tell it, once."""
         with self._lock:
+            # a recipe that is drawn a thousand times says the same a thousand times
             if (stage, message) in self.warnings:
                 return
             self.warnings.append((stage, message))
@@ -117,7 +119,7 @@ class RunContext(Context):
         None if there is nowhere to write.
     store : Store or None
         The cache, which keeps what stages have not finished; None if nothing is kept.
-    crew : Crew or None
+    crew : WorkerPool or None
         The run's workers; None if all work is done in this process.
     begun : object or None
         See `Context`.
@@ -136,7 +138,7 @@ class RunContext(Context):
         log: StageLog,
         folder: RunFolder | Scratch | None,
         store: Store | None = None,
-        crew: Crew | None = None,
+        crew: WorkerPool | None = None,
         begun: Any = None,
         readers: Callable[[], Sequence[Any]] = tuple,
     ) -> None:
@@ -183,6 +185,7 @@ class RunContext(Context):
     def rng(self, *key: int) -> np.random.Generator:
         """See `Context.rng`."""
         check(self._stop)
+        # without random numbers the seed is left out of the key of the cache
         self.log.drew = True
         return generator(self._seed, self.path, key)
 
@@ -236,6 +239,7 @@ class RunContext(Context):
             "facts": {},
             "same_as": None,
         }
+        # state is a convenience: without it an interrupted stage begins again
         with contextlib.suppress(OSError):
             self._store.remove(_unfinished(key))
             if state is not None:

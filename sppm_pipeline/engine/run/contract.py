@@ -1,4 +1,4 @@
-"""What every stage promises, looked at while it runs: numbers in what it makes, and inputs left as they are.
+"""The promises of every stage, checked while it runs: numbers in what it makes, and inputs left as they are.
 
 Arrays of plugins' stages are looked at in every run; ``SPPM_CONTRACT=1`` (`--contract`) adds the costly checks.
 """
@@ -20,7 +20,7 @@ CONTRACT = "SPPM_CONTRACT"
 
 
 def is_strict() -> bool:
-    """Whether inputs are digested before and after each stage, and results of built-in stages looked at, too."""
+    """True if inputs are digested before and after each stage, and results of built-in stages looked at, too."""
     return os.environ.get(CONTRACT, "") not in ("", "0")
 
 
@@ -31,9 +31,11 @@ def no_numbers(made: Any) -> str | None:
     """
     for place, value in _parts(made, type(made).__name__):
         if isinstance(value, np.ndarray):
+            # objects would need pickle, which the cache does not read
             if value.dtype.hasobject:
-                return f"an array of objects, which nobody can keep: {place}"
+                return f"an array of objects, which can't be kept: {place}"
             if value.dtype.kind in "fc" and not np.isfinite(value).all():
+                # the first place is found only when there is one: this is slower than the test
                 bad = np.argwhere(~np.isfinite(value))
                 first = f"{place}{bad[0].tolist()} is {value[tuple(bad[0])]}"
                 return f"numbers that are not finite: {first} ({len(bad)} of {value.size} are not finite)"

@@ -28,13 +28,13 @@ HERE = ("serial", "threads")
 """Executors of this process, whose stages use its threads as they are."""
 
 AHEAD = 2
-"""Items in work or waiting for each worker, so that none waits for the next one; a choice."""
+"""Items in work or waiting for each worker, so that none waits for the next: a heuristic; more takes memory only."""
 
-WORTH_SECONDS = 10.0
+MIN_SECONDS = 10.0
 """Seconds of one core that work must take by the table of rates to be worth processes of this machine. Each starts in
 one to three seconds, of which it computes nothing, and the threads of this process would share the work, too."""
 
-WORTH_SAMPLES = 1e9
+MIN_SAMPLES = 1e9
 """Samples that stand for these seconds where their cost is unknown: 3 s of the cheapest fields, minutes of others."""
 
 
@@ -45,7 +45,7 @@ class _Job:
     deaths: int = 0
 
 
-class Crew:
+class WorkerPool:
     """The workers of one run, started when a stage first asks for them.
 
     Parameters
@@ -66,7 +66,7 @@ class Crew:
         Refuse workers on another kind of processor.
     monitor : Monitor, optional
     fewest : float
-        Samples that are worth workers; see `fewest_samples`.
+        Samples that are worth workers; see `min_samples`.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Crew:
     threads : int
         Threads of each worker.
     warn : function
-        Told what a worker warns of, once each.
+        Called once with each warning of a worker.
     """
 
     def __init__(
@@ -114,11 +114,11 @@ class Crew:
 
     @staticmethod
     def wanted(executor: str | None, workers: int) -> bool:
-        """Whether an executor has workers beside this process; makes no attempt to find it."""
+        """True if an executor has workers beside this process; makes no attempt to find it."""
         return (executor or default_executor(workers)).partition(":")[0] not in HERE
 
     def takes(self, samples: float) -> bool:
-        """Whether workers are given work of so many samples; if they are not, the monitor is told, once."""
+        """True if workers are given work of so many samples; if not, the monitor reports it, once."""
         if samples >= self._fewest:
             return True
         if not self._declined:
@@ -155,6 +155,7 @@ class Crew:
         NativeCrash
             If workers died of an item more often than `retries`.
         """
+        # tasks travel by the name of their function: no pickled code is run by a worker
         name = name_of(function)
         kept = self._keep(common) if common is not None else None
         self._open()
@@ -164,6 +165,7 @@ class Crew:
         coming = iter(items)
         try:
             while True:
+                # in order: results are delivered as they come in the sequence of the items
                 while len(waiting) < AHEAD * self.workers and (item := next(coming, _END)) is not _END:
                     waiting.append(_Job(Task(name, kept, item, self._driver, os.getpid(), files)))
                     self._submit(waiting[-1])
@@ -258,6 +260,7 @@ class Crew:
     def _begin_again(self, waiting: deque[_Job], error: BrokenExecutor) -> None:
         """New workers, and all that the old ones had not finished."""
         self._stop()
+        # results that had arrived are kept
         left = [job for job in waiting if not _is_done(job)]
         self._count(left, error)
         for job in left:
@@ -280,6 +283,7 @@ class Crew:
 
     def _keep(self, common: Any) -> Kept:
         """Write a value where all workers load it; once, however often it is given in turn."""
+        # by identity: arrays of gigabytes are not compared
         if self._kept is None or self._kept[0] is not common:
             folder = self.folder()
             self._shared.append(folder)
@@ -291,12 +295,12 @@ class Crew:
         return self._kept[1]
 
 
-def fewest_samples(executor: str | None, estimate: PlanEstimate) -> float:
-    """How many samples of a stage are worth the workers of a run: a function of the configuration alone.
+def min_samples(executor: str | None, estimate: PlanEstimate) -> float:
+    """Samples of a stage from which on workers are used: a function of the configuration alone.
 
-    An executor that was named is used for all. Processes of this machine, which nobody named, are used if the stages
-    that hand out work take `WORTH_SECONDS` of one core together, by the table of rates and not by what the machine has
-    learned; if that is unknown, for stages with `WORTH_SAMPLES`.
+    An executor that was named is used for all. Processes of this machine, if no executor was named, are used if the
+    stages that hand out work take `MIN_SECONDS` of one core together, by the table of rates and not by what the machine
+    has learned; if that is unknown, for stages with `MIN_SAMPLES`.
 
     Parameters
     ----------
@@ -313,8 +317,8 @@ def fewest_samples(executor: str | None, estimate: PlanEstimate) -> float:
     if executor is not None:
         return 0.0
     if (seconds := estimate.handed_out) is None:
-        return WORTH_SAMPLES
-    return 0.0 if seconds >= WORTH_SECONDS else math.inf
+        return MIN_SAMPLES
+    return 0.0 if seconds >= MIN_SECONDS else math.inf
 
 
 _END: Any = object()

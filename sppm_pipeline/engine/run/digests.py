@@ -50,6 +50,7 @@ class WrittenFiles:
         folder = path.is_dir()
         inside = files_in(path) if folder else [""]
         about = path.stat()
+        # a writer that hashed while it wrote saves reading gigabytes again; size and time tell later changes
         size, time, known = self._hashed.pop(name, (-1, -1, ""))
         if not folder and (size, time) == (about.st_size, about.st_mtime_ns):
             read = [(known, size)]
@@ -83,6 +84,7 @@ class WrittenFiles:
         files = [str(path)] if inside is None else [os.path.join(path, name) for name in inside]
         self.changed(renamed_in)
         if inside is not None:
+            # names in a folder are data of the folder: without its sync a file may be there without a name
             self._folders |= {str(path), *(os.path.dirname(file) for file in files)}
         left = max(0, MAX_SYNCED - self._begun)
         self._begun += len(files)

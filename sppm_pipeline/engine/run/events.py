@@ -1,4 +1,4 @@
-"""Who is notified of what happens in a run: the monitor that shows it, and observers (`sppm_stage_finished`)."""
+"""Receivers of the events of a run: the monitor that shows it, and observers (`sppm_stage_finished`)."""
 
 from __future__ import annotations
 
@@ -80,5 +80,6 @@ class Observers:
                     implementation.function(*arguments)
             except Exception as error:
                 words = error.message if isinstance(error, PluginError) else f"raised {described(error)}"
+                # once is enough: a broken observer would warn after each of a thousand stages
                 self._manager.unregister(name=plugin.name)
                 self._warn(f"{plugin}: sppm_stage_finished {words}; it is not called again in this run")

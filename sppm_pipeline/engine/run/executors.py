@@ -59,14 +59,16 @@ def begin_worker(parent: int) -> None:
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+    # the parent ends workers by SIGTERM, which must work even inside of compiled code
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     die_with_parent(parent)
+    # many arenas of malloc would hold memory that each thread has freed
     share_one_heap()
     threading.Thread(target=_leave_after_parent, daemon=True).start()
 
 
 def _leave_after_parent() -> None:
-    """Where the system does not end orphans, do it ourselves."""
+    """End this process after its parent, for systems that do not end orphans."""
     import multiprocessing
     from multiprocessing.connection import wait
 
@@ -135,7 +137,7 @@ def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
 
 
 def _takes_where(make: Callable[..., Any]) -> bool:
-    """Whether a function has a second parameter `where`."""
+    """True if a function has a second parameter `where`."""
     try:
         parameters = list(inspect.signature(make).parameters)
     except ValueError:  # some compiled functions have no signature
@@ -178,6 +180,7 @@ def serve(
     codes : list of int
         The exit codes of worker processes, negative for a signal; those of other machines are not known.
     """
+    # their exit codes say how they ended, which futures do not
     before, workers = set(_children()), []
     futures: dict[int, Future[dict[str, Any]]] = {}
     # tasks say when they are done: to ask all of them after each costs the square of their number
@@ -207,6 +210,7 @@ def serve(
     try:
         for number, task in tasks.items():
             check()
+            # a bounded queue: canceling is instant, and memory does not grow with the number of rows
             while len(futures) >= most and broken is None:
                 check()
                 hear(LISTENING)
@@ -217,13 +221,14 @@ def serve(
             except BrokenExecutor as error:
                 broken = error
                 break
-            futures[number].add_done_callback(functools.partial(_tell, done, number))
+            # the callback runs in a thread of the executor, so it only puts a number into a queue
+            futures[number].add_done_callback(functools.partial(_put_done, done, number))
             while hear(0):  # of an executor that runs tasks at once, before the next one
                 pass
         workers = [process for process in _children() if process not in before]
         while futures:
             check()
-            hear(LISTENING)  # not for ever, so that whoever is asked to stop hears of it
+            hear(LISTENING)  # not for ever, so that a request to stop is seen
     except BaseException:
         stop_workers()
         raise
@@ -234,7 +239,7 @@ def serve(
     return broken, [process.exitcode for process in workers if process.exitcode is not None]
 
 
-def _tell(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
+def _put_done(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
     done.put(number)
 
 

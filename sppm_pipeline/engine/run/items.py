@@ -1,4 +1,4 @@
-"""What a worker of a run does: an item, with what all items have in common, which it keeps no longer than needed."""
+"""One item of work in a worker of a run, and the value that all items have in common, kept no longer than needed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sppm_pipeline.nouns.storage import DamagedError, StoredFile, load_value
 
 
 class Kept(NamedTuple):
-    """Where a value lies that all workers load: its folder, and the digests of its files."""
+    """Place of a value that all workers load: its folder, and the digests of its files."""
 
     folder: str
     files: tuple[StoredFile, ...]
@@ -87,7 +87,8 @@ def run_item(task: Task) -> tuple[Any, list[str]]:
 
 
 IDLE = 5.0
-"""Seconds without an item after which a worker lets go of what items had in common; a choice."""
+"""Seconds without an item after which a worker drops the value that items had in common: a heuristic, longer than the
+time between two calls of `map`; a factor of two changes memory only."""
 
 _items = 0
 _idle: threading.Timer | None = None
@@ -96,7 +97,7 @@ _counting = threading.Lock()
 
 @contextlib.contextmanager
 def _at_work() -> Iterator[None]:
-    """What items have in common stays as long as one is in work here, and `IDLE` seconds longer."""
+    """Keep the value that items have in common while one is in work here, and `IDLE` seconds longer."""
     global _items, _idle
     with _counting:
         _items += 1
@@ -122,7 +123,7 @@ def _forget_if_idle() -> None:
 
 @functools.lru_cache(maxsize=1)
 def _loaded(kept: Kept) -> Any:
-    """The value that all items have in common; the last one stays, with all that it has found out about itself."""
+    """The value that all items have in common; the last one stays, with all that it has computed about itself."""
     try:
         return load_value(Path(kept.folder), {file.name: file for file in kept.files})
     except (DamagedError, OSError) as error:

@@ -36,7 +36,7 @@ class MemoryRun:
         self.runner = runner
 
     def result(self, id_: str) -> Any:
-        """What a stage made, also if it came from the cache; None for a stage that makes nothing.
+        """The result of a stage, also if it came from the cache; None for a stage that makes nothing.
 
         Raises
         ------

@@ -77,6 +77,7 @@ class RunFolder:
             self._files.changed(make_folder(self.path))
             if not os.access(self.path, os.W_OK | os.X_OK):
                 raise PermissionError(13, "Permission denied")
+            # the lock comes first: what lies there may be judged only when no other run changes it
             if not self._folder_lock.acquire():
                 holder = self._folder_lock.holder
                 raise ResourceError(
@@ -88,6 +89,7 @@ class RunFolder:
                     f"the folder {str(self.path)!r} is not empty and holds no earlier run",
                     hint="choose another with -o; nothing of yours is overwritten",
                 )
+            # only the holder of the lock may remove what an interrupted run has left
             _remove_unfinished(self.path)
             self.earlier = set(_recorded_outputs(self.path))
             remove(self.path / REPORT)  # it describes the earlier run
@@ -105,6 +107,7 @@ class RunFolder:
         parts = output_parts(name)
         key = folded(parts)
         with self._lock:
+            # names that differ in case only, or where one is a folder of the other, collide on some file systems
             for other, (owner, other_name) in self._claims.items():
                 if collide(other, key) and (owner != stage or other != key):
                     raise ConfigError(
@@ -112,6 +115,7 @@ class RunFolder:
                         hint="give one of them another path",
                     )
             final = self.path.joinpath(*parts)
+            # a link inside of the run directory must not lead an output to files elsewhere
             if not final.parent.resolve().is_relative_to(self.path.resolve()):
                 raise ConfigError(f"the output {name!r} leaves the run directory through a link")
             self._claims[key] = (stage, name)
@@ -149,6 +153,7 @@ class RunFolder:
             If it can't be moved.
         """
         with self._lock:
+            # a rejected stage leaves its own report; files of recipes of the same step stay in the staging area
             meant = {"/".join(output_parts(name)) for owner, name in self._claims.values() if only in (None, owner)}
             pending = {name: staged for name, staged in self._pending.items() if name in meant}
             self._pending = {name: staged for name, staged in self._pending.items() if name not in meant}
@@ -156,6 +161,7 @@ class RunFolder:
             if not staged.exists():
                 raise PluginError(f"the output {name!r} was announced but not written")
         try:
+            # digests are of what the stage wrote, before anything else can touch it
             outputs = [self._files.described(name, staged) for name, staged in pending.items()]
             for name, staged in pending.items():
                 final = self.path / name
@@ -167,10 +173,11 @@ class RunFolder:
         return outputs
 
     def holds(self, stage: str, outputs: Sequence[Mapping[str, Any]]) -> bool:
-        """Whether the directory holds exactly these outputs already, to the byte; they are then the stage's."""
+        """True if the directory holds exactly these outputs already, to the byte; they are then the stage's."""
         try:
             for output in outputs:
                 path = self.path.joinpath(*output_parts(output["path"]))
+                # sizes first: most changes show there, and reading gigabytes is not needed then
                 if path.is_symlink() or path.is_dir() != ("files" in output) or size_of(path) != output["bytes"]:
                     return False
             if any(self._files.described(o["path"], self.path / o["path"]) != o for o in outputs):
@@ -213,6 +220,7 @@ class RunFolder:
             for name in sorted(self.earlier):
                 path = self.path / name
                 remove(path)
+                # folders that are empty now go as well
                 for parent in path.parents:
                     if parent == self.path:
                         break
@@ -247,6 +255,7 @@ class RunFolder:
 
     def _aside(self) -> Path:
         """A name in the staging area that no output has."""
+        # a counter, as several outputs may make way
         self._places += 1
         self._staging.mkdir(exist_ok=True)
         return self._staging / f"{_STAGING}{self._places}"
@@ -285,7 +294,7 @@ class Scratch:
 
 
 def is_run(path: Path) -> bool:
-    """Whether a folder is that of a run, or empty but for what a run had begun."""
+    """True if a folder is that of a run, or empty but for what a run had begun."""
     if not (path / RECORD).is_file():
         return all(child.name.startswith((_STAGING, f".{RECORD}.")) or child.name == CLAIM for child in path.iterdir())
     with (path / RECORD).open("rb") as file:
@@ -323,14 +332,14 @@ def _recorded_outputs(path: Path) -> list[str]:
         try:
             parts = output_parts(output)
         except (ConfigError, TypeError, AttributeError):
-            continue  # not a record of ours; leave what it names
+            continue  # another program's record; leave what it names
         if path.joinpath(*parts).parent.resolve().is_relative_to(path.resolve()):
             names.append("/".join(parts))
     return names
 
 
 def _remove_unfinished(path: Path) -> None:
-    """Remove staging areas and half-written records; the caller holds the lock, so that nobody uses them."""
+    """Remove staging areas and half-written records; the caller holds the lock, so that no other process uses them."""
     for name in (RECORD, SUMS, "sweep.csv", "sweep.json"):
         for half in path.glob(f".{name}.*"):
             half.unlink(missing_ok=True)

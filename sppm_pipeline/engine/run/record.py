@@ -203,10 +203,12 @@ class Recorder:
         self.folder.discard()
 
     def _write(self, status: str, error: SppmError | None) -> None:
+        # a record that will be written again soon need not wait for the disk
         finished = status != "running"
         extra = dict(self.extra)
         accounted = [output["path"] for stage in self.stages for output in stage.get("outputs", ())]
         accounted += [output["path"] for output in extra.get("outputs", ())]
+        # the list of digests comes before the record, which holds its digest
         if finished and (sums := self.folder.write_sums(accounted)) is not None:
             extra["sums"] = sums
         if earlier := sorted((self.folder.earlier | self.folder.pending()) - set(accounted)):
@@ -247,6 +249,7 @@ def mark_ended(path: Path, status: str = "interrupted", error: SppmError | None 
         record = json.loads((path / RECORD).read_bytes())
         if record["status"] != "running":
             return
+        # the lock fails if another process goes on with this run
         folder = RunFolder(path)
         folder.prepare()
     except (OSError, ValueError, KeyError, TypeError, SppmError):

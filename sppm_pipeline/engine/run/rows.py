@@ -47,6 +47,7 @@ def dead_row(session: Session, task: Mapping[str, Any], codes: Sequence[int]) ->
     now = current(notes) if notes.exists() else None  # it ran on another machine
     place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
     doing = "" if now is None else f", while this was running: {now.what}"
+    # of several workers it is unknown which one ran the row
     code = codes[0] if len(codes) == 1 else None
     run = f"the process of run {path.name!r}"
     error: SppmError
@@ -103,6 +104,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     """
     driver: Driver = task["driver"]
     apart = (os.getpid(), socket.gethostname()) != (task["from"], driver.host)
+    # another program, library or processor gives other last digits
     warnings = check_worker(driver) if apart else []
     session = _session(task["request"], task["sweep"])
     row = session.rows[task["row"]]
@@ -112,7 +114,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         if (now := overdue(notes)) is not None:  # an executor may hand out again what has taken its worker down
             return ended_row(session, task, overdue_error(now)) | {"host": socket.gethostname()}
         _adopt_limits(task["limits"])
-        with contextlib.suppress(OSError):  # a file system without shared memory; then nobody can watch
+        with contextlib.suppress(OSError):  # a file system without shared memory; then no guard can watch
             share(notes)
             if stage_seconds() is not None and hasattr(signal, "SIGKILL"):
                 guard(notes)
@@ -121,6 +123,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
 
         plan, store = session.plan(row), store_in(task["cache"])
         key = run_key(plan, task["until"])
+        # threads share the page of the main process, so the name of the run is added to what is noted
         with contextlib.nullcontext() if apart else of_run(path.name):  # of a worker process its notes tell
             record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
         error = None
@@ -140,7 +143,7 @@ def _adopt_limits(limits: Mapping[str, str | None]) -> None:
 
 
 def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What the sweep keeps of a row, from its record."""
+    """Entries of a row in the record of the sweep."""
     return {
         "run": path.name,
         "params": {name: plain(entry.node) for name, entry in row.items()},

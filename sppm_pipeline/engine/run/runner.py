@@ -3,7 +3,7 @@
 `run_plan` opens the run directory, runs the steps of the plan, and seals the record. `StepRunner.run` takes one step
 after the other: is its result kept (`_cached`)? was it made by an earlier run (`_earlier`)? else its inputs are brought
 together, it runs under its contract, its outputs are put into place, and the cache keeps what is worth it (`_fresh`).
-Then the step is recorded and told of (`_live`).
+Then the step is recorded and reported (`_live`).
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from sppm_pipeline.stage import Rejected
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.session import CacheSession
     from sppm_pipeline.engine.cache.store import Store
-    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.engine.run.crew import WorkerPool
 
 
 Entry = dict[str, Any]
-"""What the run record says of a step."""
+"""Entry of a step in the run record."""
 
 
 def available_threads() -> int:
@@ -62,7 +62,7 @@ def run_plan(
     about: str = "",
     key: str | None = None,
     earlier: StepRunner | None = None,
-    crew: Crew | None = None,
+    crew: WorkerPool | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline and write ``run.json``, also when a stage fails.
 
@@ -86,7 +86,7 @@ def run_plan(
         the byte is taken as it is.
     earlier : StepRunner, optional
         Of a run of the same plan in memory; its stages that write nothing are not run again.
-    crew : Crew, optional
+    crew : WorkerPool, optional
         Workers that stages hand parts of their work to; ended with the run.
 
     Returns
@@ -108,6 +108,7 @@ def run_plan(
             recorder.extra["key"] = key
         if crew is not None:
             crew.warn = recorder.warn
+        # workers end before the record is sealed, as they write into the run directory
         with contextlib.nullcontext() if crew is None else contextlib.closing(crew):
             StepRunner(
                 steps,
@@ -123,18 +124,19 @@ def run_plan(
                 earlier=earlier,
                 crew=crew,
             ).run()
+        # only a run whose stages have all ended well has results that can be compared
         recorder.audit()
     return recorder.record
 
 
 def only_writes(step: Step) -> bool:
-    """Whether a step makes nothing but files; one whose file may be left out is there for what it reports."""
+    """True if a step makes nothing but files; one whose file may be left out is there for what it reports."""
     outputs = [option for option in options_of(type(step.stage)).values() if option.spec.output]
     return not step.makes and any(option.default is not None for option in outputs)
 
 
 def entry_of(step: Step, facts: Mapping[str, Any], seconds: float, memory: float | None, *, cached: bool) -> Entry:
-    """What the run record says of a step; what is empty is left out."""
+    """Entry of a step in the run record; empty values are left out."""
     entry: Entry = {
         "id": step.id,
         "stage": step.stage.name,
@@ -181,7 +183,7 @@ class StepRunner:
         Ids of results that are kept.
     earlier : StepRunner, optional
         A runner of the same steps; what it has run is not run again, unless it writes.
-    crew : Crew, optional
+    crew : WorkerPool, optional
 
     Attributes
     ----------
@@ -205,7 +207,7 @@ class StepRunner:
         checkpoint: Callable[[], None] = lambda: None,
         keep: Collection[str] = (),
         earlier: StepRunner | None = None,
-        crew: Crew | None = None,
+        crew: WorkerPool | None = None,
     ) -> None:
         self.entries: list[dict[str, Any]] = []
         self._steps = {step.id: step for step in steps}
@@ -247,12 +249,14 @@ class StepRunner:
                 check()
                 self._monitor.stage_started(step.id, number, len(steps))
                 self._live(step)
+                # after the last step all results go with this object
                 needless |= done - set(self._keep)
                 if number < len(steps):
                     for id_ in needless:
                         self._results.pop(id_, None)
             if self._cache is not None:
                 # time that one stage has spent on the work of another says nothing about either
+                # the cache learns from stages that ran alone only
                 own = [entry for entry in self.entries if entry["id"] not in self._handed_on]
                 learn(self._cache.store, steps, self._recipes, own)
         finally:
@@ -260,7 +264,7 @@ class StepRunner:
                 self._cache.close()
 
     def _live(self, step: Step) -> None:
-        """The life of a stage: taken from the cache or an earlier run, or run; recorded, and told of."""
+        """The life of a stage: taken from the cache or an earlier run, or run; recorded, and reported."""
         started = time.perf_counter()
         try:
             if isinstance(self._folder, Scratch) and only_writes(step):
@@ -272,19 +276,21 @@ class StepRunner:
                     kept = self._cached(step)
                     made = self._earlier._facts.get(step.id) if self._earlier is not None else None
                     reused = made if made is not None and not made["wrote"] else None  # what wrote has to write here
+                    # in the order of their cost: the cache, an earlier run in memory, the stage itself
                     facts = kept or reused or self._fresh(step)
                 self._facts[step.id] = facts
                 entry = entry_of(step, facts, time.perf_counter() - started, memory.mb, cached=kept is not None)
         except Exception as error:
-            self._tell(step, {}, time.perf_counter() - started, error)
+            self._report(step, {}, time.perf_counter() - started, error)
             raise
+        # a rejected draw is recorded as well, with the report that it leaves
         self.entries.append(entry)
         rejection: Rejected | None = facts.get("rejection")
-        self._tell(step, entry, entry["seconds"], rejection)
+        self._report(step, entry, entry["seconds"], rejection)
         if rejection is not None:
             raise rejection
 
-    def _tell(self, step: Step, entry: Entry, seconds: float, error: Exception | None) -> None:
+    def _report(self, step: Step, entry: Entry, seconds: float, error: Exception | None) -> None:
         self._observers.stage_finished(
             StageEvent(
                 address=step.address,
@@ -299,7 +305,7 @@ class StepRunner:
         )
 
     def _cached(self, step: Step) -> dict[str, Any] | None:
-        """What the cache says of a step whose outputs are there or could be written again."""
+        """Cached facts of a step whose outputs are there or could be written again."""
         entry = self._cache.look_up(step, (step.id,)) if self._cache is not None else None
         if entry is None or self._cache is None:
             return None
@@ -307,12 +313,14 @@ class StepRunner:
         outputs = facts["outputs"]
         facts["wrote"] = bool(outputs)
         if outputs:
+            # a run in memory shows results, and has no place for files
             if isinstance(self._folder, Scratch):
                 facts["outputs"] = []
             elif not self._folder.holds(step.address, outputs) and not self._cache.restore(
                 step, self._folder, outputs, self._checkpoint
             ):
                 return None
+        # a warning belongs to the result, whenever that was computed
         for at, message in facts["warnings"]:
             self._monitor.warning(at, message)
         return facts
@@ -327,6 +335,7 @@ class StepRunner:
         try:
             made = self._made(step, inputs, log, self._folder, lambda: self._readers(step))
         except Rejected as error:
+            # a report of why it was rejected is all that a failed check leaves
             if not error.keep_outputs or isinstance(self._folder, Scratch):
                 raise
             rejection = error
@@ -370,7 +379,7 @@ class StepRunner:
         return {port: self.result(source) if source else None for port, source in step.inputs.items()}
 
     def result(self, id_: str) -> Any:
-        """What a step made: still there, loaded, or made again because only its summary was kept."""
+        """The result of a step: still there, loaded, or made again because only its summary was kept."""
         if id_ in self._results:
             return self._results[id_]
         step = self._steps[id_]
@@ -382,9 +391,11 @@ class StepRunner:
         assert self._cache is not None
         same_as = self._cache.same_as(id_)
         made = self.result(source) if same_as and (source := step.inputs[same_as]) else self._cache.load(id_)
+        # its summary was worth keeping, the artifact was not: compute it again, without a word
         if made is None and step.makes:
             inputs = self._inputs(step)
             scratch = self._folder.scratch()
+            # its warnings and progress were shown when its summary was made
             log = StageLog(Monitor(), step.address)
             started = time.perf_counter()
             try:
@@ -431,6 +442,7 @@ class StepRunner:
         readers = [other for other in self._steps.values() if step.id in other.inputs.values()]
         if isinstance(self._folder, Scratch) or self._keep or self._earlier is not None or is_strict():
             return ()
+        # a reader with a second input would have to wait for it, and a plugin may keep what it is handed
         if any(len(other.inputs) > 1 or not other.owner.builtin for other in readers):
             return ()
         if not step.owner.builtin:  # a plugin's stage may be built upon one that asks, and look at what that makes
@@ -438,6 +450,7 @@ class StepRunner:
         begun = []
         for other in readers:
             log = StageLog(self._monitor, other.address)
+            # one reader that needs the whole artifact makes all of them wait for it
             taker = other.stage.begin(self._context(other, log, self._folder))
             if taker is None:
                 return ()

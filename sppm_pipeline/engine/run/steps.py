@@ -48,9 +48,11 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
         Errors of the stage with place and id filled in. What a plugin raises unexpectedly becomes a `PluginError`,
         what a built-in stage does an `SppmError` with exit code 1; missing memory or disk a `ResourceError`.
     """
+    # recipes are handed over as objects that a stage runs as often as it likes
     handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
     optional = {port.name: None for port in step.signature.ports if port.optional}
     taken = {**optional, **step.signature.gathered(inputs), **handed}
+    # digests of all inputs cost as much as some stages, so they are for authors of plugins
     before = digests(inputs) if is_strict() else {}
     writable = set() if step.owner.builtin else writable_ports(inputs)
     try:
@@ -64,6 +66,7 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
         _check_result(step, made)
         ports = changed(inputs, before)
         if not step.owner.builtin:
+            # an array that was unlocked may have been changed even where its digest is not taken
             ports = ports or sorted(writable_ports(inputs) - writable)
         if ports:
             raise _fault_of(step, f"changed its input {listed(ports)}, which other stages share")
@@ -72,6 +75,7 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
         error.where = error.where or step.where
         error.stage = error.stage or step.address
         raise
+    # the machine is at fault, not the author of the stage
     except MemoryError as error:
         raise ResourceError(
             "not enough memory" if step.owner.builtin else f"{step.owner}: not enough memory",
@@ -84,19 +88,21 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
 
 
 def _system_error(step: Step, error: Exception) -> SppmError:
-    """A file that is not there, something of the machine that is missing, or whoever wrote the stage is at fault."""
+    """A file that is not there, something of the machine that is missing, or the author of the stage is at fault."""
+    # files that users name in options are missing far more often than a stage is wrong
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError)):
         place = f": {error.filename!r}" if error.filename is not None else ""
         return InputError(f"{error.strerror or error}{place}", where=step.where, stage=step.address)
     missing = exhausted_resource(error)
     if missing is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
+        # only for a disk does the hint help
         full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
         return ResourceError(missing, hint=DISK if full else None, where=step.where, stage=step.address)
     return _fault_of(step, f"raised {described(error)}")
 
 
 def _fault_of(step: Step, message: str) -> SppmError:
-    """An error that is the fault of whoever wrote the stage."""
+    """An error that is the fault of the author of the stage."""
     if step.owner.builtin:
         hint = "this is a mistake in the program; --debug shows where"
         return SppmError(f"internal error: {message}", where=step.where, stage=step.address, hint=hint)
@@ -106,8 +112,10 @@ def _fault_of(step: Step, message: str) -> SppmError:
 
 def _check_result(step: Step, made: Any) -> None:
     """Type as announced, parts that agree with each other."""
+    # the plan was wired by what the stage announces
     if not isinstance(made, step.makes or type(None)):
         raise _fault_of(step, f"made {type(made).__name__}, but announces {artifact_words(step.makes)}")
+    # results are checked here, so that the stage that made a wrong one is named and not one that reads it
     check = getattr(made, "check", None)
     if check is not None:
         try:
@@ -221,6 +229,7 @@ class StepRecipe(Recipe):
         """See `Recipe.observe`."""
         own = _of_a_run(context)
         recipes = self._with(own, options or {})
+        # the numbers of a draw are kept, as a search asks for the same draw again when it is resumed
         key = own.recipe_key(self.name, recipes, attempt)
         known = None if again or key is None else context.recall(key)
         if known is not None:
@@ -254,13 +263,14 @@ class StepRecipe(Recipe):
     def _run(
         self, context: RunContext, palette: Palette, attempt: int, recipes: RecipeSteps
     ) -> Iterator[tuple[Any, Mapping[str, Any]]]:
-        """What each stage makes, with its id and summary."""
+        """Result of each stage, with its id and summary."""
         steps = recipes[self.name]
         results: dict[str, Any] = {}
         for step, done in zip(steps, last_uses(steps), strict=True):
             check()
             inner = context.inside(self.name, attempt, step.id, step.address, palette)
             inner.log.begin(step.address)
+            # each draw takes the place of the files of the one before
             if inner.folder is not None:
                 inner.folder.restart(step.address)
             inputs = {port: results[source] if source else None for port, source in step.inputs.items()}
@@ -327,6 +337,7 @@ class StepRecipe(Recipe):
                     f"option {name!r} of {step.address!r}: {error}", hint=declared[name].spec.help
                 ) from None
         stage = dataclasses.replace(step.stage, **parsed)
+        # options that were fine one by one may contradict each other
         stage.check_options()
         return stage
 

@@ -93,6 +93,7 @@ def run_sweep(
     """
     monitor = monitor or Monitor()
     rows = session.rows
+    # a wrong --until fails before any row has run
     plan.until(until)
     asked = _Asked(
         workers=workers,
@@ -107,6 +108,7 @@ def run_sweep(
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))
         found, stopped = _run_rows(session, path, names, asked, monitor)
+        # rows of an earlier, longer sweep would be taken for results of this one
         remove_stale_runs(path, names)
         columns = columns_of(found)
         runs += [{key: value for key, value in run.items() if key not in ("columns", "files")} for run in found]
@@ -114,9 +116,11 @@ def run_sweep(
             recorder.folder.add_file("sweep.csv", csv_text(columns)),
             recorder.folder.add_file("sweep.json", json_text(rows_of(columns))),
         ]
+        # the table is there by now, whatever stopped the sweep
         if stopped is not None:
             raise stopped
         done = [run["status"] == "done" for run in runs]
+        # stages of `after` read the table, with gaps where a row failed
         if plan.after and until is None and any(done):
             StepRunner(
                 plan.after,
@@ -219,6 +223,7 @@ def _run_rows(
             ended(number, failed_row(session, tasks[number], PluginError(text)))
 
     def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:
+        # a new one each time: after a worker died, pools of processes take no more tasks
         pool = make_executor(asked.executor, workers, session.plugins)
         if len(left) == len(tasks):
             monitor.sweep_started(getattr(pool, "about", ""), len(tasks))
@@ -228,6 +233,7 @@ def _run_rows(
 
     def alone(number: int) -> None:
         codes: list[int] = []
+        # alone, a row can take down no other, and its death is its own
         for _ in range(asked.retries):
             suspects.discard(number)
             again[number] = again.get(number, 0) + 1
@@ -261,6 +267,7 @@ def _run_rows(
             while left := {i: task for i, task in enumerate(tasks) if i not in results}:
                 broken, _ = serve_rows(asked.workers, left)
                 if broken is not None and not end_overdue(left.keys() - results.keys()):
+                    # those that had begun when the pool broke: one of them, or the machine, is the cause
                     begun = {i for i, task in left.items() if i not in results and Path(task["notes"]).exists()}
                     if not (begun or suspects):
                         raise NativeCrash(
@@ -268,6 +275,7 @@ def _run_rows(
                             hint="a native library crashed, or memory ran out; try fewer workers with -j, or "
                             "--executor serial",
                         )
+                    # rows that had not begun go on with the others
                     suspects |= begun
                 for number in sorted(suspects):
                     alone(number)
@@ -282,6 +290,7 @@ def _run_rows(
             if number not in results:
                 results[number] = failed_row(session, task, error) | {"attempts": again.get(number, 0)}
     finally:
+        # no row may be left as running
         for name in names:
             mark_ended(path / SWEEP_RUNS / name)
     return [results[number] for number in range(len(names))], stopped

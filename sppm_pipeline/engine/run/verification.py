@@ -1,4 +1,4 @@
-"""Whether a run directory still holds what its record says, to the byte."""
+"""Verification of a run directory: it still holds what its record says, to the byte."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def finished_run(path: Path, key: str) -> dict[str, Any] | None:
 
 
 def differences(path: Path) -> list[str]:
-    """What is not here as it was where the run was made, and may change the last digits of a repeat.
+    """Differences between this machine and that of the run that may change the last digits of a repeat.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _read_sums(path: Path, listed: Mapping[str, Any] | None) -> tuple[dict[str, 
     except FileNotFoundError:
         return {}, None if listed is None else ("missing", "")
     if listed is None:
-        return {}, ("extra", "the record knows nothing of it")
+        return {}, ("extra", "the record does not list it")
     matches = (_LINE.fullmatch(line) for line in data.decode("utf-8", "replace").splitlines())
     sums = {match[2]: match[1] for match in matches if match}
     intact = hashlib.sha256(data).hexdigest() == listed["sha256"]

@@ -1,4 +1,4 @@
-"""What a worker process of a sweep must have in common with the process that hands out its rows."""
+"""Requirements on a worker process of a sweep: the program, versions and folders of the process that hands out rows."""
 
 from __future__ import annotations
 
@@ -125,11 +125,11 @@ def _looked_at(driver: Driver) -> str:
 
 
 _PLUGIN = "plugin "
-"""What the names of plugins begin with among the versions."""
+"""Prefix of the names of plugins among the versions."""
 
 
 def _versions(distributions: tuple[str, ...]) -> dict[str, str]:
-    """What results depend on besides the program."""
+    """Versions that results depend on besides the program."""
     plugins = {_PLUGIN + name: installed_version(name) or "not installed" for name in distributions}
     return environment(plugins=("sppm-pipeline", *distributions)) | plugins
 

@@ -21,7 +21,12 @@ from numpy import ndarray
 import sppm_pipeline.services.jit.kernel_cache as kernel_cache
 import sppm_pipeline.services.jit.machine_code as machine_code
 
-kind_of, written, load, usable = machine_code.kind_of, machine_code.written, machine_code.load, machine_code.usable
+argument_kind, signature_as_json, load, usable = (
+    machine_code.argument_kind,
+    machine_code.signature_as_json,
+    machine_code.load,
+    machine_code.usable,
+)
 _NUMBERS = frozenset(machine_code.NUMBERS)
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -53,7 +58,7 @@ def fused_jit(function: F) -> F:
 class Kernel:
     """A function that is compiled for each kind of arguments when it is first called with them.
 
-    To Numba, and to whoever asks it for what it does not have, it is the dispatcher that Numba makes of the function.
+    To Numba, and for attributes that it does not have, it is the dispatcher that Numba makes of the function.
 
     Parameters
     ----------
@@ -83,7 +88,7 @@ class Kernel:
             elif kind in _NUMBERS:
                 key.append(kind)
             else:
-                key.append(kind_of(value))
+                key.append(argument_kind(value))
         ready = self._ready.get(tuple(key))
         if ready is None or named:
             return self._first(tuple(key), args, named)
@@ -91,7 +96,7 @@ class Kernel:
 
     def _first(self, key: tuple[Any, ...], args: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """Call it with arguments of a kind that has not been there."""
-        kinds = None if named or not usable() else [written(kind_of(value)) for value in args]
+        kinds = None if named or not usable() else [signature_as_json(argument_kind(value)) for value in args]
         if kinds is None or None in kinds:
             return self.dispatcher(*args, **named)
         ready = load(self.py_func, kinds)
@@ -104,7 +109,7 @@ class Kernel:
 
     @property
     def dispatcher(self) -> Any:
-        """What Numba makes of the function; loads Numba."""
+        """The function compiled by Numba; loads Numba."""
         if self._dispatcher is None:
             from sppm_pipeline.services.jit.compiling import dispatcher_of
 
@@ -161,7 +166,7 @@ def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:
     function : callable
         A plain function at the top of its module.
     name : str
-        Tells the copies of one function apart; with the code of what is replaced, and the state of the files that it
+        Distinguishes the copies of one function; with the code of what is replaced, and the state of the files that it
         is from, it becomes part of the name under which Numba keeps the compiled copy.
     **replaced : callable
         Compiled functions by the global name they take over.

@@ -20,14 +20,14 @@ from numba.extending import intrinsic
 # not by `from`, which makes a module part of the state of all kernels: how code is kept does not change what it does
 import sppm_pipeline.services.jit.machine_code as machine_code
 from sppm_pipeline.services.jit.kernel_cache import first_compilation, kernel_cache_folder, saving
-from sppm_pipeline.services.jit.kernel_signatures import written
+from sppm_pipeline.services.jit.kernel_signatures import signature_as_json
 
 
 def _load_numba_without_scipy() -> None:
     """Load the part of Numba that looks for BLAS, answering its question without the import of scipy.linalg.
 
     That import takes longer than everything else in a short run, and is there only to tell whether `numpy.dot` can be
-    compiled. If somebody compiles it after all, Numba finds BLAS when it is called.
+    compiled. If it is compiled after all, Numba finds BLAS when it is called.
     """
     from numba.np import linalg
 
@@ -43,7 +43,7 @@ _load_numba_without_scipy()
 
 
 def dispatcher_of(function: Callable[..., Any], fastmath: set[str] | bool) -> Any:
-    """What Numba makes of a function: compiled without the GIL, with NumPy's division, cached on disk."""
+    """A function compiled by Numba: compiled without the GIL, with NumPy's division, cached on disk."""
     # Numba asks for the folder when it makes a cache, and declares its settings at run time
     folder = str(kernel_cache_folder(function.__code__.co_filename))
     setattr(config, "CACHE_DIR", folder)  # noqa: B010
@@ -102,7 +102,7 @@ class _Cache(FunctionCache):
         if objectmode or lifted or again or library[1] != "object":
             return
         try:
-            kinds = [written(kind) for kind in sig]
+            kinds = [signature_as_json(kind) for kind in sig]
         except ValueError:
             return
         environments = {one.env_name: _dtypes(one.consts) for one in (environment, *referenced)}

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept between runs, and a notice when one is not there.
+"""Folders in which compiled kernels are kept between runs, and a notice when one is missing.
 
 Numba keys a kept kernel by its own source file alone, so a kernel that inlines one from another file, or a constant,
 would be reused after that file has changed. Therefore each module has folders of its own, one for each state of the
@@ -114,7 +114,7 @@ def _bases() -> list[Path]:
 
 
 def state_of(source: str) -> str:
-    """What tells states of a module and of all that it imports apart; empty if its file can't be read.
+    """Key of the state of a module and of all that it imports; empty if its file can't be read.
 
     Parameters
     ----------
@@ -274,12 +274,12 @@ def _prune(base: Path, current: Path) -> None:
 
 
 def kernel_cache_lasts() -> bool:
-    """Whether another process finds what is kept."""
+    """True if another process finds what is kept."""
     return kernel_cache_root() in _bases()
 
 
 def is_kept(place: str, specializations: int) -> bool:
-    """Whether a kernel was compiled for so many kinds of arguments, without loading it.
+    """True if a kernel was compiled for so many kinds of arguments, without loading it.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def _kept_files(folder: Path) -> tuple[str, ...]:
 def saving(folder: str | Path) -> Iterator[None]:
     """Let one process at a time save into a folder of kernels, where the system has locks.
 
-    Numba reads the list of what is kept of a kernel, adds a file and writes the list anew: two that do so at the same
+    Numba reads the list of what is kept of a kernel, adds a file and writes the list again: two that do so at the same
     time for unlike arguments would write one file, and one of them would later be given the code of the other.
     """
     with contextlib.ExitStack() as stack:

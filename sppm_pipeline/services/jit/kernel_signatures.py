@@ -17,7 +17,7 @@ KernelType = str | list[Any]
 """One argument type, as a JSON value."""
 
 
-def written(kind: types.Type) -> KernelType:
+def signature_as_json(kind: types.Type) -> KernelType:
     """A Numba type as a JSON value.
 
     Raises
@@ -26,11 +26,11 @@ def written(kind: types.Type) -> KernelType:
         If it is none of those that kernels take: numbers, arrays of numbers, None, and tuples of these.
     """
     if isinstance(kind, types.Array):
-        text = f"{written(kind.dtype)} {kind.ndim} {kind.layout}"
+        text = f"{signature_as_json(kind.dtype)} {kind.ndim} {kind.layout}"
         text += "" if kind.mutable else " readonly"
     elif isinstance(kind, types.BaseTuple):
         made, parts = getattr(kind, "instance_class", tuple), getattr(kind, "types", ())
-        return ["" if made is tuple else f"{made.__module__}.{made.__qualname__}", *map(written, parts)]
+        return ["" if made is tuple else f"{made.__module__}.{made.__qualname__}", *map(signature_as_json, parts)]
     else:
         text = str(kind)
     try:

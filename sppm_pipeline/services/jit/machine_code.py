@@ -7,9 +7,9 @@ and two of Numba's extension modules, which are loaded by their files, lend it w
 arguments, memory, exceptions. The machine code is the same, so results are, to the byte.
 
 Whatever does not fit is left to Numba: other kinds of arguments, a symbol that is not there, a damaged file, a setting
-of Numba's in the environment, a version of Numba that this has not been tried with (`TRIED`: what compiled code looks
-for is no promise of Numba's), another system than Linux on x86-64 (object files are read here to know what symbols they
-want, as LLVM ends the process where one is missing; others have not been tried).
+of Numba's in the environment, a version of Numba that this has not been tried with (`SUPPORTED_NUMBA`, as symbols of
+compiled code are no promise of Numba's), another system than Linux on x86-64 (object files are read here to know what
+symbols they want, as LLVM ends the process where one is missing; others have not been tried).
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from sppm_pipeline.services.jit.kernel_cache import kernel_cache_folder
 FORMAT = 4
 """Of the files; part of their names."""
 
-SWITCH = "SPPM_KEPT_KERNELS"
+ENV_VAR = "SPPM_KEPT_KERNELS"
 """Environment variable; ``off`` has Numba start all kernels."""
 
-TRIED = ("0.68",)
+SUPPORTED_NUMBA = ("0.68",)
 """Versions of Numba, without their last number, whose code was started without it, and all tests passed."""
 
 _MAGIC = b"sppm machine code\n"
@@ -77,24 +77,24 @@ class TooLarge:
     """
 
 
-def kind_of(value: Any) -> Any:
-    """What tells kinds of arguments apart, to look them up by; cheap, as each call of a kernel asks for it."""
+def argument_kind(value: Any) -> Any:
+    """Kind of an argument, to look kernels up by; cheap, as each call of a kernel asks for it."""
     kind = type(value)
     if kind is np.ndarray or kind is np.memmap:
         return value.dtype, value.ndim, value.flags.num & FLAGS
     if kind is int:
         return int if value.bit_length() < 64 else TooLarge
     if isinstance(value, tuple):
-        return (kind, *map(kind_of, value))
+        return (kind, *map(argument_kind, value))
     return kind
 
 
-def written(kind: Any) -> str | list[Any] | None:
+def signature_as_json(kind: Any) -> str | list[Any] | None:
     """A kind as a JSON value, as `services.jit.kernel_signatures` writes Numba's types; None for others."""
     if not isinstance(kind, tuple):
         return "none" if kind is type(None) else NUMBERS.get(kind)
     if isinstance(kind[0], type):
-        parts = [written(part) for part in kind[1:]]
+        parts = [signature_as_json(part) for part in kind[1:]]
         if any(part is None for part in parts):
             return None
         return ["" if kind[0] is tuple else f"{kind[0].__module__}.{kind[0].__qualname__}", *parts]
@@ -127,23 +127,23 @@ class Code(NamedTuple):
 
 
 @functools.cache
-def hindrance() -> str:
+def reason_unavailable() -> str:
     """Why no kept code is used; nothing where it is."""
     if sys.platform != "linux" or os.uname().machine != "x86_64":
         return "tried on Linux on x86-64 only"
-    if os.environ.get(SWITCH, "").lower() == "off":
-        return f"{SWITCH}=off"
+    if os.environ.get(ENV_VAR, "").lower() == "off":
+        return f"{ENV_VAR}=off"
     if settings := [n for n in sorted(os.environ) if n.startswith("NUMBA_") and n not in _SETTINGS]:
         return f"{settings[0]} is set"
     if os.path.exists(".numba_config.yaml"):  # where Numba looks for settings, too
         return "there is a .numba_config.yaml here"
     version = _version()
-    return "" if version.rpartition(".")[0] in TRIED else f"not tried with Numba {version}"
+    return "" if version.rpartition(".")[0] in SUPPORTED_NUMBA else f"not tried with Numba {version}"
 
 
 def usable() -> bool:
-    """Whether kept code is used at all."""
-    return not hindrance()
+    """True if kept code is used at all."""
+    return not reason_unavailable()
 
 
 def _version() -> str:
@@ -157,9 +157,9 @@ def _version() -> str:
 
 
 def _place_of(function: FunctionType, kinds: Sequence[Any]) -> str | None:
-    """The file of a kernel for arguments of these kinds, as `written`; None if it can't be kept.
+    """The file of a kernel for arguments of these kinds, as `signature_as_json`; None if it can't be kept.
 
-    A function with a closure is made anew in every process, and what it holds may differ.
+    A function with a closure is made again in every process, and what it holds may differ.
     """
     code, name = function.__code__, function.__qualname__
     if function.__closure__ is not None or not name.replace(".", "").isidentifier():
@@ -171,7 +171,7 @@ def _place_of(function: FunctionType, kinds: Sequence[Any]) -> str | None:
 
 @functools.cache
 def _target() -> tuple[str, ...]:
-    """What machine code is made for, and by which versions."""
+    """Processor and versions that machine code is made for."""
     import llvmlite.binding as llvm
 
     numba = _numba()
@@ -193,11 +193,11 @@ def _numba() -> str:
 
 
 def keep(function: FunctionType, kinds: Sequence[Any], code: Code) -> None:
-    """Keep machine code, if all that it looks for can be told; the file appears whole or not at all."""
+    """Keep machine code, if all symbols that it needs can be listed; the file appears whole or not at all."""
     file, symbols = _place_of(function, kinds), symbols_of(code.object)
     if file is None or symbols is None:
         return
-    # most functions are inlined, and nobody asks for the environments that they would have had
+    # most functions are inlined, and no code asks for the environments that they would have had
     needed = {n: dtypes for n, dtypes in code.environments.items() if n == code.environment or n in symbols[1]}
     if None in needed.values():
         return

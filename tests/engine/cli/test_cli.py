@@ -206,12 +206,12 @@ def test_processes_that_nobody_named_are_for_work_that_is_worth_it(here, capsys,
         return words in err, at_work in err
 
     assert said() == (True, False)
-    assert said(WORTH_SECONDS=1e-3) == (False, True)
+    assert said(MIN_SECONDS=1e-3) == (False, True)
     monkeypatch.setattr("sppm_pipeline.method.stages.slice_mesh.SliceMesh.estimate", Stage.estimate)
-    assert said(WORTH_SECONDS=1e-3) == (True, False)  # seconds are unknown, and samples are 8000
-    assert said(WORTH_SAMPLES=8001) == (True, False)
-    assert said(WORTH_SAMPLES=8000) == (False, True)
-    assert said("plain.yaml", WORTH_SAMPLES=8001) == (False, False)
+    assert said(MIN_SECONDS=1e-3) == (True, False)  # seconds are unknown, and samples are 8000
+    assert said(MIN_SAMPLES=8001) == (True, False)
+    assert said(MIN_SAMPLES=8000) == (False, True)
+    assert said("plain.yaml", MIN_SAMPLES=8001) == (False, False)
 
 
 def test_a_sweep_with_failures(here, capsys):

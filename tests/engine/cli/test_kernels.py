@@ -28,7 +28,7 @@ from sppm_pipeline.engine.plan.kernels import Kernel, kernels_of, listed_kernels
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.method.sampling.cell_list import CellList
 from sppm_pipeline.services.jit import kernel_cache
-from sppm_pipeline.services.jit.kernel_signatures import read, written
+from sppm_pipeline.services.jit.kernel_signatures import read, signature_as_json
 from sppm_pipeline.services.jit.machine_code import usable
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -59,13 +59,13 @@ def frozen(array):
 )
 def test_types_survive_being_written(value, text):
     kind = numba.typeof(value)
-    assert written(kind) == text
+    assert signature_as_json(kind) == text
     assert read(text) == kind
 
 
 def test_what_kernels_do_not_take_is_refused():
     with pytest.raises(ValueError, match="kernels are not compiled ahead for unicode_type"):
-        written(types.unicode_type)
+        signature_as_json(types.unicode_type)
     with pytest.raises(ValueError, match="there is no number 'int65'"):
         read("int65 1 C")
 
@@ -151,7 +151,7 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
 def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     one = [k for k in listed_kernels() if k.place.endswith("encoding:_largest_bits")]
     monkeypatch.setattr("sppm_pipeline.engine.plan.kernels.listed_kernels", lambda: one)
-    monkeypatch.setattr("sppm_pipeline.services.jit.machine_code.hindrance", lambda: "")
+    monkeypatch.setattr("sppm_pipeline.services.jit.machine_code.reason_unavailable", lambda: "")
     main(["doctor"])
     assert "empty; 1 of 1 that are common are not, which `sppm doctor --kernels` compiles" in capsys.readouterr().out
     main(["doctor", "--kernels"])
@@ -160,7 +160,8 @@ def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     assert "that are common are not" not in found
     assert missing(one) == []
     assert "Numba starts them" not in found
-    monkeypatch.setattr("sppm_pipeline.services.jit.machine_code.hindrance", lambda: "not tried with Numba 0.99")
+    place = "sppm_pipeline.services.jit.machine_code.reason_unavailable"
+    monkeypatch.setattr(place, lambda: "not tried with Numba 0.99")
     main(["doctor"])
     assert "; Numba starts them (not tried with Numba 0.99), which takes longer" in capsys.readouterr().out
     one[0] = one[0]._replace(place=one[0].place + "_no_more")

@@ -84,7 +84,7 @@ IMPORT = "the import of the plugin "
         ("os.close(1)", 4, "odd.py: closed the standard output"),
         ("os.close(2)", 4, "odd.py: closed the standard error"),
         ("sys.stdout.close()", 4, "odd.py: closed the standard error"),
-        ("'objects'", 4, "an array of objects, which nobody can keep: Numbers.values"),
+        ("'objects'", 4, "an array of objects, which can't be kept: Numbers.values"),
     ],
 )
 def test_the_offender_and_its_stage_are_named(start, tmp_path, how, code, words):

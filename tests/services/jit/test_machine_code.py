@@ -14,7 +14,7 @@ import pytest
 
 from sppm_pipeline.services.jit import kernel_signatures, machine_code
 from sppm_pipeline.services.jit.compiled import jit
-from sppm_pipeline.services.jit.machine_code import kind_of, symbols_of, written
+from sppm_pipeline.services.jit.machine_code import argument_kind, signature_as_json, symbols_of
 
 MODULE = """
 from typing import NamedTuple
@@ -216,12 +216,13 @@ def frozen(array):
     ],
 )  # fmt: skip
 def test_kinds_are_those_of_numba(value):
-    assert written(kind_of(value)) == kernel_signatures.written(numba.typeof(value))
+    assert signature_as_json(argument_kind(value)) == kernel_signatures.signature_as_json(numba.typeof(value))
 
 
 def test_a_mapped_file_is_an_array(tmp_path):
     mapped = np.memmap(tmp_path / "values", np.float32, "w+", shape=(2, 3))
-    assert written(kind_of(mapped)) == kernel_signatures.written(numba.typeof(mapped)) == "float32 2 C"
+    assert signature_as_json(argument_kind(mapped)) == "float32 2 C"
+    assert kernel_signatures.signature_as_json(numba.typeof(mapped)) == "float32 2 C"
 
 
 @pytest.mark.parametrize(
@@ -232,12 +233,12 @@ def test_a_mapped_file_is_an_array(tmp_path):
     ],
 )  # fmt: skip
 def test_other_kinds_are_left_to_numba(value):
-    assert written(kind_of(value)) is None
+    assert signature_as_json(argument_kind(value)) is None
 
 
 def test_arrays_that_numba_tells_apart_are_told_apart():
     base = np.zeros((4, 4))
-    kinds = [kind_of(a) for a in (base, frozen(base.copy()), base.T, base[::2], base[0], base.astype(np.float32))]
+    kinds = [argument_kind(a) for a in (base, frozen(base.copy()), base.T, base[::2], base[0], base.astype(np.float32))]
     assert len(set(kinds)) == len(kinds)
 
 
@@ -265,7 +266,7 @@ def test_versions_of_numba_that_were_not_tried_start_their_code_themselves(versi
     for name in [name for name in os.environ if name.startswith("NUMBA_")]:
         monkeypatch.delenv(name)
     here = sys.platform == "linux" and os.uname().machine == "x86_64"
-    why = machine_code.hindrance.__wrapped__()
+    why = machine_code.reason_unavailable.__wrapped__()
     assert why == (
         "" if fits and here else f"not tried with Numba {version}" if here else "tried on Linux on x86-64 only"
     )
@@ -278,7 +279,7 @@ def test_versions_of_numba_that_were_not_tried_start_their_code_themselves(versi
 )
 def test_settings_of_others_leave_kernels_to_numba(name, value, why, monkeypatch):
     monkeypatch.setenv(name, value)
-    assert machine_code.hindrance.__wrapped__() == why
+    assert machine_code.reason_unavailable.__wrapped__() == why
 
 
 def test_the_version_is_that_of_numba():
