@@ -63,10 +63,11 @@ def file_digest(path: str | Path) -> tuple[str, int]:
     """SHA-256 and size of a file."""
     with open(path, "rb", buffering=0) as file:
         data = file.read(_CHUNK)
-        if len(data) < _CHUNK and not file.read(1):  # nearly all are, and need no buffer
-            return hashlib.sha256(data).hexdigest(), len(data)
-        file.seek(0)
-        return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
+        digest, size = hashlib.sha256(data), len(data)
+        if size == _CHUNK or file.read(1):  # nearly all are smaller, and need no buffer
+            file.seek(0)
+            digest, size = hashlib.file_digest(file, "sha256"), file.tell()
+        return digest.hexdigest(), size
 
 
 def remove(path: Path) -> None:

@@ -19,23 +19,26 @@ def jsonable(value: Any) -> Any:
     TypeError
         If it can't be written as JSON.
     """
+    plain: Any
     if value is None or isinstance(value, (bool, str)):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, Mapping):
-        return {str(key): jsonable(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [jsonable(item) for item in value]
-    if isinstance(value, (set, frozenset)):
-        return [jsonable(item) for item in sorted(value)]
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if hasattr(value, "tolist"):  # numpy's arrays and scalars
-        return jsonable(value.tolist())
-    raise TypeError(f"{type(value).__name__} can't be written as JSON")
+        plain = value
+    elif isinstance(value, float):  # NumPy's float64 is one, and becomes Python's
+        plain = float(value) if math.isfinite(value) else None
+    elif isinstance(value, int):
+        plain = int(value)
+    elif isinstance(value, Mapping):
+        plain = {str(key): jsonable(item) for key, item in value.items()}
+    elif isinstance(value, (list, tuple)):
+        plain = [jsonable(item) for item in value]
+    elif isinstance(value, (set, frozenset)):
+        plain = [jsonable(item) for item in sorted(value)]
+    elif isinstance(value, os.PathLike):
+        plain = os.fspath(value)
+    elif hasattr(value, "tolist"):  # NumPy's arrays and scalars
+        plain = jsonable(value.tolist())
+    else:
+        raise TypeError(f"{type(value).__name__} can't be written as JSON")
+    return plain
 
 
 def json_text(value: Any) -> str:

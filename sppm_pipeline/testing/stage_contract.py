@@ -76,12 +76,14 @@ class StageContract:
         for stage in self.stages():
             for name, option in options_of(type(stage)).items():
                 value = getattr(stage, name)
+                # a run is repeated from its record, so what is written there must give the same stage
                 assert parse_typed(option, plain_option(value), Path()) == value, name
 
     def test_declares_its_ports(self) -> None:
         """The signature of `run` can be read."""
         for stage in self.stages():
             names = {port.name for port in signature_of(type(stage)).ports}
+            # a port that was renamed would otherwise be tested with its default
             assert set(self.inputs()) <= names
 
     def test_makes_what_it_announces(self) -> None:
@@ -93,6 +95,7 @@ class StageContract:
                 assert isinstance(made, signature.makes or type(None))
             if isinstance(made, Artifact):
                 made.check()
+                # summaries go into run.json
                 json_text(jsonable(made.summary()))
 
     def test_same_seed_same_result(self) -> None:
@@ -100,6 +103,7 @@ class StageContract:
         for stage in self.stages():
             first, context = self._digest_and_context(stage)
             assert self._digest(stage) == first
+            # an odd number: work that is divided unevenly shows sums in another order
             assert self._digest(stage, threads=3) == first
             if context.asked_for_workers:
                 assert self._digest(stage, workers=2) == first

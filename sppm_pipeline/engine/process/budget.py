@@ -76,6 +76,7 @@ def allowed_memory(limit: int | None = None) -> Allowance:
     """
     resident, reserved = _held()
     limit = requested_memory() if limit is None else limit
+    # what this process holds now counts as allowed: only what is added can be refused
     found = [Allowance(resident + _machine(), "the free memory of this machine")]
     found += [Allowance(resident + left, "the memory left in this container") for left in control_groups()]
     if (space := _address_space()) is not None:

@@ -131,6 +131,7 @@ def _remove_if_left(path: Path) -> None:
 
     if not there.st_mode & stat.S_IRUSR:
         path.chmod(0o700)
+    # no link is followed: the temporary folder is open to all users
     lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

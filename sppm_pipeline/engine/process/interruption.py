@@ -233,6 +233,7 @@ def _end(
     deadline = time.monotonic() + PATIENCE
     while not outcome and len(signals) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
+    # also if the work has ended: workers that it started may still run
     cancel_all()
     if outcome:
         reset()

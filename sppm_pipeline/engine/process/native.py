@@ -215,6 +215,7 @@ def _child(folder: Path, environment: Mapping[str, str], progress: int) -> Itera
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         bufsize=0,
+        # its own session: the signals of the terminal must not reach the child
         start_new_session=True,  # this process handles a Ctrl-C in the terminal
         pass_fds=(progress,),
     )

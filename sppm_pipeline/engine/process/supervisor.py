@@ -54,6 +54,7 @@ def main() -> None:
         setsigdef=[number for number in signal.valid_signals() if number not in (signal.SIGKILL, signal.SIGSTOP)],
         setsigmask=(),
     )
+    # or the reader of the pipe would never see its end
     os.close(progress)
     status = None
     while status is None and not requests:

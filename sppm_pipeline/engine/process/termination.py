@@ -104,6 +104,7 @@ _CRASH_HINT = "nothing else was harmed; check the input (closed, no degenerate t
 
 
 def _crash(termination: Termination, task: Task, number: int) -> SppmError:
+    # libraries abort when an allocation fails, which looks like a crash
     if any(words in termination.output for words in _NO_MEMORY):
         return _memory(termination, task)
     try:

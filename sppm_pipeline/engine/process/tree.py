@@ -31,6 +31,7 @@ def signal_below(pid: int, number: int, *, recursive: bool = True) -> None:
         import psutil
 
         with contextlib.suppress(psutil.Error):
+            # a snapshot: children that appear meanwhile are found by those who call again
             for process in psutil.Process(pid).children(recursive=recursive):
                 with contextlib.suppress(psutil.Error):  # it has ended, or belongs to another user
                     process.send_signal(number)

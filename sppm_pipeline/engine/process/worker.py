@@ -27,6 +27,7 @@ def main() -> None:
     outcome = _outcome(job, folder, progress)
     text = json.dumps(outcome)
     (folder / "outcome.part").write_text(text, encoding="utf-8")
+    # in one step, so that a child that dies leaves no half result
     (folder / "outcome.part").rename(folder / "outcome.json")
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # the library may have closed it

@@ -47,6 +47,7 @@ def audited(record: Mapping[str, Any], plugins: Sequence[Plugin], warn: Callable
         plugin = owners[implementation.plugin_name]
         try:
             with nullcontext() if plugin.builtin else contained(PluginError):
+                # as pluggy calls hooks: an implementation may leave the argument out
                 arguments = (record,) * len(implementation.argnames)
                 own: list[Comparison] = [*implementation.function(*arguments)]  # type: ignore[misc]
                 if not all(isinstance(one, Comparison) for one in own):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import operator
 import threading
@@ -155,9 +156,13 @@ class RunContext(Context):
         self.palette = palette
         self.log = log
         self.folder = folder
-        self.memory = planning_memory()
         self.memory_limit = requested_memory()
         self._stop = current_stop()  # stages report from threads of their own, too
+
+    @functools.cached_property
+    def memory(self) -> int:  # type: ignore[override]
+        """See `Context`; measured only for a stage that asks."""
+        return planning_memory()
 
     def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
         """The context of a stage of a recipe that this stage repeats."""

@@ -380,14 +380,17 @@ class StepRunner:
 
     def result(self, id_: str) -> Any:
         """The result of a step: still there, loaded, or made again because only its summary was kept."""
-        if id_ in self._results:
-            return self._results[id_]
-        step = self._steps[id_]
+        if id_ not in self._results:
+            self._results[id_] = self._recovered(self._steps[id_])
+        return self._results[id_]
+
+    def _recovered(self, step: Step) -> Any:
+        """The result of a step that ran before this run, or in it and was not kept in memory."""
+        id_ = step.id
         if isinstance(self._folder, Scratch) and only_writes(step):
             return None
         if self._earlier is not None:
-            self._results[id_] = self._earlier.result(id_)
-            return self._results[id_]
+            return self._earlier.result(id_)
         assert self._cache is not None
         same_as = self._cache.same_as(id_)
         made = self.result(source) if same_as and (source := step.inputs[same_as]) else self._cache.load(id_)
@@ -403,7 +406,6 @@ class StepRunner:
             finally:
                 scratch.discard()
             self._cache.keep_again(step, made, inputs, time.perf_counter() - started)
-        self._results[id_] = made
         return made
 
     def _made(

@@ -111,6 +111,7 @@ def _verify(path: Path, prefix: str, pool: ThreadPoolExecutor, seal: str | None)
         record = read_sealed((path / RECORD).read_bytes())
         if RECORD_KEY not in record:
             raise BrokenSealError("it is no record of a run")
+        # a row that was run again by itself is not part of the table any more
         if seal is not None and record["sha256"] != seal:
             raise BrokenSealError("it is not the record that belongs to this sweep")
     except (BrokenSealError, ValueError) as error:
@@ -129,6 +130,7 @@ def _verify(path: Path, prefix: str, pool: ThreadPoolExecutor, seal: str | None)
             wanted[name] = output["sha256"]
             continue
         inside = {n.removeprefix(f"{name}/"): digest for n, digest in sums.items() if n.startswith(f"{name}/")}
+        # the list names the file of a folder that has changed, the digest of the folder only that one has
         if len(inside) == output["files"] and tree_digest(inside) == output["sha256"]:
             wanted |= {f"{name}/{n}": digest for n, digest in inside.items()}
         else:

@@ -50,6 +50,7 @@ def announced(path: Path, cache: Path | None, plugins: Plugins, *, same_processo
     tokens = [path / staging_name()]
     if cache is not None:  # the same sweep again takes the place of what a killed one has left there
         tokens.append(cache / f"driver-{hashlib.sha256(str(path).encode()).hexdigest()[:16]}")
+    # tokens show that a worker sees the same folders, not others of the same name
     driver = Driver(
         host=socket.gethostname(),
         program=program_digest(),
@@ -100,6 +101,7 @@ def _looked_at(driver: Driver) -> str:
             seen = token.read_text("ascii")
         except OSError:
             seen = ""
+        # a folder of that name may exist on the worker's machine, too
         if seen != driver.token:
             raise ResourceError(
                 f"the worker on {host} does not share the folder {str(token.parent)!r} with {driver.host}",

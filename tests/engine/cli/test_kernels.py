@@ -132,7 +132,7 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
         told = []
         ahead.wait("layers", lambda *numbers: told.append(numbers))
         ahead.wait(None, lambda *numbers: told.append(numbers))
-        assert told[0] == (0, 2)
+        assert told[0] == (0, 2, 0.0)
     finally:
         ahead.close()
     deadline = time.monotonic() + 60
@@ -174,7 +174,7 @@ def test_what_children_could_not_compile_is_told_to_those_who_want_to_know(cell_
     stream, log = io.StringIO(), io.StringIO()
     monitor = ProgressLines(stream, log=log)
     with compiling_ahead(cell_plan, monitor, 2) as ahead:
-        ahead.wait(None, lambda done, total: None)
+        ahead.wait(None, lambda done, total, share: None)
     monitor.close()
     lines = [line for line in log.getvalue().splitlines() if "not compiled ahead: sppm_pipeline." in line]
     assert len(lines) == len(missing(kernels_of(stages_of(cell_plan), listed_kernels()))) > 10
