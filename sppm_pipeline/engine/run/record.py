@@ -17,7 +17,8 @@ import sppm_pipeline
 from sppm_pipeline.engine.cache.identity import arithmetic, installed_version
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.files import write_whole
-from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.process.interruption import register, requested, unregister
 from sppm_pipeline.engine.process.resident import highest
 from sppm_pipeline.engine.run.audit import audited, breaches
@@ -28,6 +29,9 @@ from sppm_pipeline.errors import ResourceError, SppmError
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
 
 RECORD_VERSION = 1
+
+Entry = dict[str, Any]
+"""Entry of a step in the run record."""
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 
@@ -81,6 +85,28 @@ def record_of(
         "error": error_entry(error) if error is not None else None,
     }
     return record | dict(extra) | {"stages": list(stages)}
+
+
+def entry_of(step: Step, facts: Mapping[str, Any], seconds: float, memory: float | None, *, cached: bool) -> Entry:
+    """Entry of a step in the run record; empty values are left out."""
+    entry: Entry = {
+        "id": step.id,
+        "stage": step.stage.name,
+        "made": facts["made"],
+        "seconds": round(seconds, 6),
+        "peak_memory_mb": memory,
+        "cached": cached,
+        "summary": facts["summary"],
+        "options": step_options(step),
+        "inputs": dict(step.inputs),
+        "recipes": dict(step.recipes),
+        "warnings": [message if at == step.address else f"{at}: {message}" for at, message in facts["warnings"]],
+        "outputs": facts["outputs"],
+        "inner": facts["inner"],
+        "rejected": "rejection" in facts,
+    }
+    empty: tuple[Any, ...] = ({}, [], False)
+    return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
 
 
 def versions() -> dict[str, str]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.estimate import learn
-from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.process.resident import PeakWatch
@@ -26,7 +26,7 @@ from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.contract import is_strict
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.run.record import Recorder
+from sppm_pipeline.engine.run.record import Entry, Recorder, entry_of
 from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import SppmError
@@ -38,10 +38,6 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.session import CacheSession
     from sppm_pipeline.engine.cache.store import Store
     from sppm_pipeline.engine.run.crew import WorkerPool
-
-
-Entry = dict[str, Any]
-"""Entry of a step in the run record."""
 
 
 def available_threads() -> int:
@@ -133,28 +129,6 @@ def only_writes(step: Step) -> bool:
     """True if a step makes nothing but files; one whose file may be left out is there for what it reports."""
     outputs = [option for option in options_of(type(step.stage)).values() if option.spec.output]
     return not step.makes and any(option.default is not None for option in outputs)
-
-
-def entry_of(step: Step, facts: Mapping[str, Any], seconds: float, memory: float | None, *, cached: bool) -> Entry:
-    """Entry of a step in the run record; empty values are left out."""
-    entry: Entry = {
-        "id": step.id,
-        "stage": step.stage.name,
-        "made": facts["made"],
-        "seconds": round(seconds, 6),
-        "peak_memory_mb": memory,
-        "cached": cached,
-        "summary": facts["summary"],
-        "options": step_options(step),
-        "inputs": dict(step.inputs),
-        "recipes": dict(step.recipes),
-        "warnings": [message if at == step.address else f"{at}: {message}" for at, message in facts["warnings"]],
-        "outputs": facts["outputs"],
-        "inner": facts["inner"],
-        "rejected": "rejection" in facts,
-    }
-    empty: tuple[Any, ...] = ({}, [], False)
-    return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
 
 
 class StepRunner:
