@@ -53,7 +53,7 @@ def _compile() -> list[Finding]:
     )
     lines = ProgressLines(sys.stderr) if sys.stderr is not None else None
     try:
-        ahead.wait(None, lines.compiling if lines else lambda done, total: None)
+        ahead.wait(None, lines.compiling if lines else lambda done, total, share: None)
     finally:
         ahead.close()
         if lines:
