@@ -105,6 +105,8 @@ def _broken_alone(args: Namespace) -> Iterator[tuple[str, str]]:
         except subprocess.TimeoutExpired:
             yield name, f"its check took longer than {3 * import_seconds() + 10:g} s"
             continue
+        if done.returncode == 2:  # it is installed for this process only, as in tests; then it is checked here
+            continue
         try:
             json.loads(done.stdout)
         except ValueError:
