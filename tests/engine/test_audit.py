@@ -100,7 +100,7 @@ def test_the_terminal_shows_the_verdict_and_a_breach_in_red(tmp_path, capsys, mo
     (tmp_path / "a.yaml").write_text(
         "sppm: 1\nplugins: [auditor.py]\npipeline: [{stage: sample.dart_throwing, count: 4}]\n"
     )
-    command = ["run", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "out"), "-q", "--no-cache"]
+    command = ["run", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "out"), "--no-cache"]
     assert main(command) == 3
     shown = capsys.readouterr()
     assert "audit: breach, 1 of 2 comparisons agree\n  the number: 7, expected 3 +- 0.5" in shown.out
