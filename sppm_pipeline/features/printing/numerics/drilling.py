@@ -233,7 +233,7 @@ def signed_depths(inside: NDArray[np.uint8], spacing: float) -> NDArray[np.float
     """Distance of voxels (nz, ny, nx) from the surface of what is inside, positive there."""
     from scipy.ndimage import distance_transform_edt
 
-    found = distance_transform_edt(inside) - distance_transform_edt(1 - inside)
+    found: NDArray[np.float64] = distance_transform_edt(inside) - distance_transform_edt(1 - inside)
     return (spacing * (found - np.sign(found) / 2)).astype(np.float32)
 
 
