@@ -79,9 +79,10 @@ def test_what_states_its_own_summary_is_not_known():
     ("kind", "entries"),
     [
         (StiffnessReport,
-         "method unit porosity phases C E G nu E_relative isotropic xi xi_relative deviation_invariant bulk "
-         "shear zener distance_from_cubic universal_anisotropy log_euclidean_anisotropy E_min E_max bounds "
-         "compliance solver expansion error error_relative E_error G_error"),
+         "method unit porosity phases C E G nu E_x_relative E_relative E_ratio isotropic xi xi_relative "
+         "deviation_invariant bulk shear zener distance_from_cubic universal_anisotropy "
+         "log_euclidean_anisotropy E_min E_max bounds "
+         "compliance solver expansion error error_relative E_error G_error E_relative_error"),
         (PermeabilityReport,
          "k k_m2 darcy k_mean darcy_mean edge_mm error error_relative porosity pocket_share thermal "
          "viscous_tortuosity thermal_tortuosity hydraulic_tortuosity surface kozeny grid precision iterations "

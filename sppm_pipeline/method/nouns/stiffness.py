@@ -46,7 +46,9 @@ class StiffnessReport(Report, Viewable):
         Residuals, iterations and what else the method has to say, JSON-ready.
     """
 
-    headline: ClassVar[tuple[str, ...]] = ("E", "G", "nu", "C.1.1", "C.1.2", "C.4.4", "porosity")
+    headline: ClassVar[tuple[str, ...]] = (
+        "E_relative", "E_ratio", "E", "G", "nu", "C.1.1", "C.1.2", "C.4.4", "porosity",
+    )  # fmt: skip
 
     stiffness: NDArray[np.float64]
     phases: tuple[tuple[float, float, float], ...]
@@ -112,16 +114,21 @@ class StiffnessReport(Report, Viewable):
         Number("E.#3", unit="{unit}", error="E_error", box="Young's modulus x, y, z"),
         Number("G.#3", unit="{unit}", error="G_error"),
         *(Number(f"nu.{'xyz'[i]}{'xyz'[j]}") for i, j in _PAIRS),
-        Number("E_relative"),
+        Number("E_x_relative"),
     )
     def _engineering_constants(self) -> tuple[Any, ...]:
         from sppm_pipeline.services.elastic.voigt import engineering_constants
 
         found = engineering_constants(self.stiffness)
-        relative = found["E"][0] / self.base if self.base else None
-        return found["E"], found["G"], *(found["nu"][pair] for pair in _PAIRS), relative
+        return found["E"], found["G"], *(found["nu"][pair] for pair in _PAIRS), self._relative(found["E"][0])
+
+    def _relative(self, modulus: float) -> float | None:
+        """A modulus over that of the stiffest phase; None of a cell without any."""
+        return modulus / self.base if self.base else None
 
     @reports(
+        Number("E_relative", error="E_relative_error", box="E / E of the solid"),
+        Number("E_ratio", box="largest over smallest E"),
         "isotropic.E", "isotropic.nu", "xi", "xi_relative", "deviation_invariant", "bulk.voigt", "bulk.reuss",
         "shear.voigt", "shear.reuss", "zener", "distance_from_cubic", "universal_anisotropy",
         "log_euclidean_anisotropy", "E_min.value", "E_min.direction.#3", "E_max.value", "E_max.direction.#3",
@@ -130,12 +137,13 @@ class StiffnessReport(Report, Viewable):
         from sppm_pipeline.services.elastic import isotropy
         from sppm_pipeline.services.elastic.directional import extremes
 
-        c = self.stiffness
+        c, fit = self.stiffness, isotropy.nearest_isotropic(self.stiffness)
         anisotropies = isotropy.universal_anisotropy(c), isotropy.log_euclidean(c)
         invariant, ends = isotropy.nearest_isotropic(c, "tensor").relative, extremes(c)
+        low, high = ends["min"][0], ends["max"][0]
         return (
-            *isotropy.nearest_isotropic(c), invariant, *isotropy.averages(c), *isotropy.zener(c), *anisotropies,
-            *ends["min"], *ends["max"],
+            self._relative(fit.young), high / low if low > 0 else float("inf"), *fit, invariant, *isotropy.averages(c),
+            *isotropy.zener(c), *anisotropies, *ends["min"], *ends["max"],
         )  # fmt: skip
 
     @reports(
@@ -158,17 +166,24 @@ class StiffnessReport(Report, Viewable):
             return None
         return [float(value) if np.isfinite(value) else None for value in self.expansion]
 
-    @reports("error.#6.#6", "error_relative", "E_error.#3", "G_error.#3", optional=True)
+    @reports("error.#6.#6", "error_relative", "E_error.#3", "G_error.#3", "E_relative_error", optional=True)
     def _error_bars(self) -> tuple[Any, ...] | None:
         """Those of the moduli as if all entries erred to one side, as those of voxels do: too stiff."""
+        from sppm_pipeline.services.elastic.isotropy import nearest_isotropic
         from sppm_pipeline.services.elastic.voigt import engineering_constants
 
         if self.error is None:
             return None
+        fits = [nearest_isotropic(c).young for c in (self.stiffness, self.stiffness - self.error)]
         size = float(np.linalg.norm(self.stiffness))
         found, softer = engineering_constants(self.stiffness), engineering_constants(self.stiffness - self.error)
         bars = (np.abs(found[name] - softer[name]) for name in ("E", "G"))
-        return self.error, float(np.linalg.norm(self.error)) / size if size else 0.0, *bars
+        return (
+            self.error,
+            float(np.linalg.norm(self.error)) / size if size else 0.0,
+            *bars,
+            self._relative(abs(fits[0] - fits[1])),
+        )
 
     def live_view(self) -> Surface:
         """The surface whose distance from the middle is Young's modulus in that direction."""

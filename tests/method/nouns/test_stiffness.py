@@ -20,7 +20,7 @@ def test_a_solid_cell():
     found = report.summary()
     assert found["porosity"] == 0
     assert found["E"] == pytest.approx([2.0] * 3)
-    assert found["E_relative"] == pytest.approx(1.0)
+    assert [found[name] for name in ("E_relative", "E_x_relative", "E_ratio")] == pytest.approx([1.0] * 3)
     assert found["nu"]["xy"] == pytest.approx(0.3)
     assert found["isotropic"] == pytest.approx({"E": 2.0, "nu": 0.3})
     assert found["xi"] == pytest.approx(0, abs=1e-12)
@@ -71,6 +71,11 @@ def test_poissons_ratios_of_a_material_that_is_not_the_same_along_all_axes():
     flexibility[1, 2] = flexibility[2, 1] = -0.1 / 4
     found = StiffnessReport(np.linalg.inv(flexibility), ((1.0, 20.0, 0.3),), "exact").summary()
     assert found["E"] == pytest.approx([10, 4, 2])
+    # the relative modulus has no direction: the one along x stands beside it, and the range over all directions
+    assert found["E_relative"] == pytest.approx(found["isotropic"]["E"] / 20)
+    assert found["E_x_relative"] == pytest.approx(10 / 20)
+    assert found["E_ratio"] == pytest.approx(found["E_max"]["value"] / found["E_min"]["value"])
+    assert found["E_ratio"] > 5
     expected = {"xy": 0.3, "xz": 0.2, "yz": 0.1, "yx": 0.3 * 4 / 10, "zx": 0.2 * 2 / 10, "zy": 0.1 * 2 / 4}
     assert found["nu"] == pytest.approx(expected)
 
@@ -78,6 +83,7 @@ def test_poissons_ratios_of_a_material_that_is_not_the_same_along_all_axes():
 def test_error_bars_of_moduli_follow_those_of_the_matrix():
     report = StiffnessReport(isotropic(2.0, 0.3), SOLID, "voxels", error=0.01 * isotropic(2.0, 0.3))
     assert report.summary()["E_error"] == pytest.approx([0.02] * 3)
+    assert report.summary()["E_relative_error"] == pytest.approx(0.01)
     assert report.summary()["G_error"] == pytest.approx([0.01 * 2 / 2.6] * 3)
 
 
