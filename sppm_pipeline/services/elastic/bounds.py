@@ -18,7 +18,7 @@ class Interval(NamedTuple):
     upper: float
 
     def holds(self, value: float, slack: float = 1e-9) -> bool:
-        """Whether `value` lies inside, rounding allowed for."""
+        """True if `value` lies inside, up to rounding."""
         room = slack * max(abs(self.upper), abs(self.lower))
         return self.lower - room <= value <= self.upper + room
 

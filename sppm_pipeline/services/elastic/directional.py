@@ -21,7 +21,7 @@ def young_along(stiffness: NDArray[np.float64], directions: NDArray[np.float64])
     Returns
     -------
     (n,) float64
-        0 along a direction that gives way.
+        0 along a direction without stiffness.
     """
     x, y, z = np.asarray(directions, np.float64).T
     # the stress of a unit pull in Voigt's notation

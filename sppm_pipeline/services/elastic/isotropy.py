@@ -1,4 +1,4 @@
-"""How far a stiffness is from isotropic: the paper's deviation and measures that do not depend on the frame."""
+"""Distance of a stiffness from isotropy: the paper's deviation, and measures that do not depend on the frame."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def nearest_isotropic(stiffness: NDArray[np.float64], norm: str = "paper") -> Is
 def averages(stiffness: NDArray[np.float64]) -> Averages:
     """Bulk and shear moduli averaged over all orientations.
 
-    The lower averages of a structure that gives way in some direction are 0.
+    The lower averages of a structure without stiffness in some direction are 0.
 
     References
     ----------
@@ -120,7 +120,7 @@ def averages(stiffness: NDArray[np.float64]) -> Averages:
 
 
 def universal_anisotropy(stiffness: NDArray[np.float64]) -> float:
-    """Universal anisotropy index, 0 for isotropy, infinite if a direction gives way.
+    """Universal anisotropy index, 0 for isotropy, infinite if a direction has no stiffness.
 
     References
     ----------
@@ -133,7 +133,7 @@ def universal_anisotropy(stiffness: NDArray[np.float64]) -> float:
 
 
 def log_euclidean(stiffness: NDArray[np.float64]) -> float:
-    """Log-Euclidean anisotropy index, 0 for isotropy, infinite if a direction gives way.
+    """Log-Euclidean anisotropy index, 0 for isotropy, infinite if a direction has no stiffness.
 
     References
     ----------

@@ -94,7 +94,7 @@ def null_space(stiffness: NDArray[np.float64], soft: float = SOFT) -> tuple[NDAr
 
 
 def compliance(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The compliance in Voigt's notation, (6, 6); infinite entries where the structure gives way are left out.
+    """The compliance in Voigt's notation, (6, 6); infinite entries where the structure has no stiffness are left out.
 
     That is the pseudo-inverse in Mandel's basis: strains that meet no resistance are not counted.
     """
@@ -111,8 +111,8 @@ def engineering_constants(stiffness: NDArray[np.float64]) -> dict[str, NDArray[n
     -------
     dict
         ``E`` (3,) along x, y, z; ``G`` (3,) for yz, xz, xy; ``nu`` (3, 3), whose entry ij is the contraction along j
-        when pulled along i; the diagonal is NaN, as is a row without resistance. A direction that gives way has
-        modulus 0.
+        when pulled along i; the diagonal is NaN, as is a row without resistance. A direction without
+        stiffness has modulus 0.
     """
     values, vectors = null_space(stiffness)
     stiff = values > 0

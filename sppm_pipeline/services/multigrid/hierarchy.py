@@ -18,6 +18,9 @@ from sppm_pipeline.services.multigrid.vectors import dense_product, dot, weighte
 COARSEST = 2
 """Maximum number of voxels of the coarsest grid along an axis: its matrix is so small that no library uses threads."""
 
+_CUBE = 1.5
+"""Edges up to so many times the shortest one are coarsened with it: after that all lie within a factor of two."""
+
 _SINGULAR = 1e-5
 """Eigenvalues of the coarsest matrix below this part of the largest are rounding."""
 
@@ -107,11 +110,24 @@ class Transfer(Protocol):
         ...
 
 
-def coarser(shape: tuple[int, int, int]) -> tuple[int, int, int] | None:
-    """Voxels of the next grid; None if `shape` is the coarsest."""
+def coarser(
+    shape: tuple[int, int, int], edges: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> tuple[int, int, int] | None:
+    """Voxels of the next grid; None if `shape` is the coarsest.
+
+    Axes along which voxels are longer than along others wait until those have caught up (semi-coarsening): the smoother
+    hardly reduces errors that vary along a long edge only, and coarse grids must therefore keep them.
+
+    Parameters
+    ----------
+    shape : (nz, ny, nx)
+    edges : (hx, hy, hz)
+        Of a voxel.
+    """
     if max(shape) <= COARSEST:
         return None
-    z, y, x = (-(-n // 2) for n in shape)
+    shortest = min(h for h, n in zip(edges[::-1], shape, strict=True) if n > 1)
+    z, y, x = (-(-n // 2) if h <= _CUBE * shortest else n for h, n in zip(edges[::-1], shape, strict=True))
     return z, y, x
 
 
@@ -204,6 +220,7 @@ class Hierarchy:
         largest: float,
         *,
         transfers: Sequence[Transfer] | None = None,
+        twice: bool | None = None,
         damping: float = 0.5,
         planar: bool = False,
         stretch: float = 1.0,
@@ -215,10 +232,11 @@ class Hierarchy:
         levels : list of Level
         scratch_rows : int
         largest : float
-            Bound of the eigenvalues of the matrix over its diagonal, for cycles that are always
-            positive definite; 0 to estimate it, and to visit coarse grids twice.
+            Bound of the eigenvalues of the matrix over its diagonal; 0 to estimate it.
         transfers : sequence of Transfer, optional
             Those between nodes if omitted.
+        twice : bool, optional
+            As the attribute; if omitted, with an estimate only.
         damping : float
             Of the smoother, if `largest` allows so much.
         planar, stretch
@@ -235,7 +253,7 @@ class Hierarchy:
         if transfers is None:
             transfers = [NodalTransfer.between(fine.shape, coarse.shape) for fine, coarse in pairwise(levels)]
         inverse = _inverse(levels[-1], work)
-        return cls(levels, transfers, inverse, scratch_rows, largest == 0, planar, stretch)
+        return cls(levels, transfers, inverse, scratch_rows, largest == 0 if twice is None else twice, planar, stretch)
 
     def workspace(self) -> Workspace:
         """For one thread."""
@@ -265,6 +283,7 @@ class Hierarchy:
             thin.descend(r, work.r[depth + 1], self.transfers[depth], work)
             correction = self._correction(work, depth + 1)
             return z, thin.ascend(r, correction, self.transfers[depth], z, work)
+        # a smoothing step from zero is the damped right-hand side alone
         weighted(r, level.weight, z)
         level.apply(RESIDUAL, z, r, q, work)
         self.transfers[depth].restrict(q, work.r[depth + 1], work.line)
@@ -276,7 +295,9 @@ class Hierarchy:
         """The solution for ``work.r[depth]`` by one cycle, or two where they save more iterations than they cost."""
         level, r, total = self.levels[depth], work.r[depth], work.sum[depth]
         once, _ = self.cycle(r, work, depth)
-        if not self.twice or max(level.shape) <= _TWICE:
+        # a grid that is coarser along one axis only would cost as much as the one above it
+        costly = 4 * level.weight.size > 1.1 * self.levels[depth - 1].weight.size
+        if not self.twice or costly or max(level.shape) <= _TWICE:
             once *= once.dtype.type(self.stretch)
             return once
         total[:] = once
@@ -296,7 +317,7 @@ def _largest_eigenvalue(level: Level, work: Workspace) -> float:
     numbers ^= numbers >> np.uint32(15)
     numbers *= np.uint32(2246822519)
     v = (numbers >> np.uint32(8)).astype(level.weight.dtype)
-    v -= v.dtype.type(2**23)
+    v -= v.dtype.type(2**23)  # mean zero, as translations have no stiffness
     q = np.empty_like(v)
     largest = 1.0
     weighted(v, level.weight, q)
@@ -319,7 +340,7 @@ def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
     matrix = np.empty((size, size))
     unit, column = np.zeros(size, level.weight.dtype), np.empty(size, level.weight.dtype)
     for i in range(size):
-        unit[i] = 1
+        unit[i] = 1  # a column of the matrix each
         level.apply(APPLY, unit, unit, column, work)
         unit[i] = 0
         matrix[:, i] = column

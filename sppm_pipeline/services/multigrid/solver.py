@@ -75,10 +75,10 @@ class Solved(NamedTuple):
 
 
 class Measure(Protocol):
-    """What becomes of the solutions of the load cases of one cell."""
+    """Consumer of the solutions of the load cases of one cell."""
 
     def target(self, case: int) -> NDArray[Any] | None:
-        """Where the solution of a load case has to be written; None if nobody needs it after `record`."""
+        """Array to write the solution of a load case to; None if it is not needed after `record`."""
         ...
 
     def keep(self, case: int, u: NDArray[Any]) -> None:
@@ -160,6 +160,7 @@ def solve(
         if iteration == stop.iterations:
             break
         z, after = hierarchy.cycle(b, work)
+        # Fletcher and Reeves: the preconditioner is the same in all iterations and symmetric
         pq = _turn_apply(hierarchy, z, after / rz, p, work)
         rz = after
     return Solved(stop.iterations, math.sqrt(rr / start), energy, error, False, True)
@@ -199,7 +200,7 @@ def _nested_start(
     hierarchy.transfers[0].restrict(b, work.r[1], work.line)
     found = solve(coarse, work.r[1], work.sum[1], p[:length], below, Stop(0.0, 0.0, iterations), 0.0, 1.0, iterations)
     if not found.definite:
-        return 0.0, rr
+        return 0.0, rr  # a start is a bonus; the cycle of the finest grid may still work
     p[:] = 0
     hierarchy.transfers[0].interpolate_add(work.sum[1], p, work.line)
     q = work.z[0]
@@ -317,10 +318,12 @@ def _solve_all(
             u = vectors[2] if target is None else target
             level.forces(np.eye(count)[case], b, work)
             np.negative(b, out=b)
+            # layers load no node along their normal: what is left is rounding, and has no solution
             if dot(b, b) <= level.rounding() ** 2 * length:
                 b[:] = 0
             known = float(energy[case])
             solved = solve(hierarchy, b, u, p, work, stop, known, floor * known, nested)
+            # kept before the wait below, so that no two cases wait for each other
             if solved.definite:
                 measure.keep(case, u)
         finally:

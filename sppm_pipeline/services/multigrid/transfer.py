@@ -3,7 +3,7 @@
 A coarse axis has ``ceil(n / 2)`` voxels. Where n is even, its nodes are the even nodes of the fine axis. Where n is
 odd, the fine axis, a ring, is taken from its second node on, and the voxel that is left over, the first, becomes the
 last coarse one by itself: with the first voxel whole, no coarse voxel is ever shorter than half of the others. Nodes
-between two coarse ones take their mean.
+between two coarse ones take their mean. An axis may keep its voxels, too, as the long one of elongated voxels does.
 """
 
 from __future__ import annotations
@@ -18,9 +18,14 @@ from sppm_pipeline.services.jit.compiled import inline_jit, jit
 _0, _1 = np.uint64(0), np.uint64(1)
 
 
-def coarsened(fine: NDArray[Any]) -> NDArray[Any]:
-    """Mean of the (up to) eight children of each coarse voxel, for any number of axes."""
+def coarsened(fine: NDArray[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    """Mean of the (up to) eight children of each coarse voxel, for any number of axes.
+
+    Axes on which the coarse `shape` has as many voxels as the fine one stay as they are.
+    """
     for axis, n in enumerate(fine.shape):
+        if shape is not None and shape[axis] == n:
+            continue
         ring = np.moveaxis(np.roll(fine, -1, axis) if n % 2 and n > 1 else fine, axis, 0)
         mean = ring[0::2].copy()
         mean[: n // 2] += ring[1::2]
@@ -29,12 +34,14 @@ def coarsened(fine: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(fine)
 
 
-def coarser_widths(widths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Widths of the coarse voxels along each axis, as parts of the width of a whole one."""
+def coarser_widths(
+    widths: list[NDArray[np.float64]], shape: tuple[int, ...] | None = None
+) -> list[NDArray[np.float64]]:
+    """Widths of the coarse voxels along each axis, as parts of the width of a whole one; `shape` as for `coarsened`."""
     coarse = []
-    for width in widths:
-        mean = coarsened(width)
-        if len(width) % 2 and len(width) > 1:
+    for axis, width in enumerate(widths):
+        mean = coarsened(width, None if shape is None else (shape[axis],))
+        if len(width) % 2 and len(mean) < len(width):
             mean[-1] /= 2
         coarse.append(mean)
     return coarse
@@ -47,6 +54,15 @@ def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 @inline_jit
+def _parents(i: Any, n: Any, m: Any) -> tuple[Any, Any]:
+    """The coarse nodes on both sides of a node; twice the same one if it is one of them."""
+    if m == n:
+        return i, i
+    i = (i + n - (n & _1)) % n
+    return i >> _1, ((i + _1) >> _1) % m
+
+
+@inline_jit
 def _mean_of_rows(coarse: NDArray[Any], a: Any, b: Any, c: Any, d: Any, s: NDArray[Any], n: Any) -> None:
     quarter = s.dtype.type(0.25)
     for i in range(n):
@@ -56,6 +72,10 @@ def _mean_of_rows(coarse: NDArray[Any], a: Any, b: Any, c: Any, d: Any, s: NDArr
 @inline_jit
 def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any) -> None:
     half = s.dtype.type(0.5)
+    if n == coarse:
+        for i in range(n):
+            out[at + i] += s[i]
+        return
     if n & _1 == _0:
         s[coarse] = s[_0]
         for i in range(coarse):
@@ -87,14 +107,12 @@ def interpolate_plane(
     """
     nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
     mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
-    # places on the ring; twice the same coarse row where there is nothing to interpolate
-    z = (z + nz - (nz & _1)) % nz
-    z0, z1 = z >> _1, ((z + _1) >> _1) % mz
+    # twice the same coarse row where there is nothing to interpolate
+    z0, z1 = _parents(z, nz, mz)
     for c in range(np.uint64(len(coarse)) // (mx * my * mz)):
         low, high = (c * mz + z0) * my, (c * mz + z1) * my
         for line in range(ny):
-            y = (line + ny - (ny & _1)) % ny
-            y0, y1 = y >> _1, ((y + _1) >> _1) % my
+            y0, y1 = _parents(line, ny, my)
             _mean_of_rows(coarse, (low + y0) * mx, (low + y1) * mx, (high + y0) * mx, (high + y1) * mx, s, mx)
             _interpolate_row(s, out, at + c * comp + line * nx, nx, mx)
 
@@ -131,8 +149,13 @@ def _ring_of_rows(
 
 
 @inline_jit
-def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, coarse: Any) -> None:
+def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, n: Any, coarse: Any) -> None:
     half = s.dtype.type(0.5)
+    if n == coarse:
+        odd = n & _1  # which `_ring_of_rows` has shifted
+        for i in range(n):
+            out[at + i] += factor * s[(i + n - odd) % n + _1]
+        return
     for i in range(coarse):
         out[at + i] += factor * (s[i + i + _1] + half * (s[i + i] + s[i + i + _1 + _1]))
 
@@ -157,8 +180,7 @@ def restrict_plane(
     mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
     zero, half, one = s.dtype.type(0), s.dtype.type(0.5), s.dtype.type(1)
     odd = ny & _1
-    z = (z + nz - (nz & _1)) % nz
-    z0, z1 = z >> _1, ((z + _1) >> _1) % mz
+    z0, z1 = _parents(z, nz, mz)
     for c in range(np.uint64(len(out)) // (mx * my * mz)):
         rows = at + c * comp
         for y in range(my):
@@ -166,16 +188,18 @@ def restrict_plane(
             low, middle, high = (y + y + ny - _1 + odd) % ny, (y + y + odd) % ny, (y + y + _1 + odd) % ny
             before = zero if odd != _0 and y == _0 else half
             after = zero if odd != _0 and y + _1 == my else half
+            if my == ny:
+                low, middle, high, before, after = y, y, y, zero, zero
             _ring_of_rows(fine, rows + low * nx, rows + middle * nx, rows + high * nx, before, after, s, nx)
             # an even number of nodes closes the ring between its last node and the first
             s[_0] = s[nx] if nx & _1 == _0 else zero
             s[nx + _1] = zero
             to = ((c * mz + z0) * my + y) * mx
             if z0 == z1:
-                _restrict_row(s, out, to, one, mx)
+                _restrict_row(s, out, to, one, nx, mx)
             else:
-                _restrict_row(s, out, to, half, mx)
-                _restrict_row(s, out, ((c * mz + z1) * my + y) * mx, half, mx)
+                _restrict_row(s, out, to, half, nx, mx)
+                _restrict_row(s, out, ((c * mz + z1) * my + y) * mx, half, nx, mx)
 
 
 @jit

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, safe_eigenvalue
+from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, largest_eigenvalue
 from sppm_pipeline.features.stiffness.numerics.elastic_operator import SCRATCH_ROWS
 from sppm_pipeline.features.stiffness.numerics.elasticity import MutualEnergies
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace
@@ -134,7 +134,7 @@ def test_packed_vectors_are_within_half_a_step():
 
 @pytest.mark.parametrize("edges", [(1.0, 1.0, 1.0), (1.0, 0.5, 2.0)])
 @pytest.mark.parametrize("poisson", [-0.6, 0.0, 0.3, 0.49])
-def test_the_safe_eigenvalue_is_a_bound(assemble, edges, poisson):
+def test_the_largest_eigenvalue_has_a_bound(assemble, edges, poisson):
     mu = (np.random.default_rng(5).random((4, 4, 4)) < 0.4) * 1.0
     lam = mu * 2 * poisson / (1 - 2 * poisson)
     matrix, _, _ = assemble(lam, mu, edges)
@@ -143,4 +143,4 @@ def test_the_safe_eigenvalue_is_a_bound(assemble, edges, poisson):
     assert np.add.reduceat(matrix.diagonal(), np.arange(0, 192, 3)) / 3 == pytest.approx(level.diagonal)
     held = diagonal > 0
     scaled = matrix.toarray()[held][:, held] / np.sqrt(np.outer(diagonal[held], diagonal[held]))
-    assert np.linalg.eigvalsh(scaled)[-1] <= safe_eigenvalue(Moduli.of(lam, mu), edges) * (1 + 1e-12)
+    assert np.linalg.eigvalsh(scaled)[-1] <= largest_eigenvalue(Moduli.of(lam, mu), edges) * (1 + 1e-12)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.services.multigrid.hierarchy import coarser
-from sppm_pipeline.services.multigrid.transfer import coarsened, coarser_widths, interpolate_add, restrict
+from sppm_pipeline.services.multigrid.transfer import (
+    NodalTransfer,
+    coarsened,
+    coarser_widths,
+    interpolate_add,
+    restrict,
+)
 
 SHAPES = [(8, 6, 4), (5, 7, 9), (1, 2, 3), (3, 1, 16), (4, 5, 1)]
 
@@ -68,3 +74,28 @@ def test_the_coarsest_grid_is_small():
         shape, count = after, count + 1
     assert max(shape) <= 2
     assert count == 8
+
+
+@pytest.mark.parametrize("shape", [(6, 7, 5), (5, 4, 7), (7, 5, 1)])
+def test_long_edges_wait_until_the_others_have_caught_up(shape):
+    """Semi-coarsening: an axis that stays passes values through, and the restriction is the transpose."""
+    coarse = coarser(shape, (1.0, 1.0, 2.0))
+    assert coarse == (shape[0], -(-shape[1] // 2), -(-shape[2] // 2))
+    assert coarser(shape, (2.0, 2.0, 2.0)) == coarser(shape)
+    transfer = NodalTransfer.between(shape, coarse)
+    random = np.random.default_rng(1)
+    fine, rough = random.standard_normal(np.prod(shape)), random.standard_normal(np.prod(coarse))
+    line = np.zeros(max(shape) + 2)
+    down, up = np.zeros(rough.size), np.zeros(fine.size)
+    transfer.restrict(fine, down, line)
+    transfer.interpolate_add(rough, up, line)
+    assert up @ fine == pytest.approx(rough @ down)
+    # what varies along the long axis alone is kept
+    along = np.broadcast_to(random.standard_normal(shape[0])[:, None, None], coarse).ravel()
+    up[:] = 0
+    transfer.interpolate_add(np.ascontiguousarray(along), up, line)
+    assert up.reshape(shape) == pytest.approx(np.broadcast_to(along.reshape(coarse)[:, :1, :1], shape))
+    values = random.standard_normal(shape)
+    kept = coarsened(values, coarse)
+    assert kept.shape == coarse
+    assert kept == pytest.approx(np.stack([coarsened(layer) for layer in values]))

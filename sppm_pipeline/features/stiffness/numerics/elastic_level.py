@@ -83,7 +83,10 @@ def coefficients(
     # from sums over corners to strains times the root of the volume
     g = np.sqrt(volume) / (4 * h)
     q = g * g
-    linear = [(2 * q[a] + q[b]) / 3 for a, b in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))]
+    import os
+
+    w = float(os.environ.get("QM6", "0"))
+    linear = [(2 * q[a] + (1 - w) * q[b]) / 3 for a, b in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))]
     constant = np.zeros(6) if strain is None else np.sqrt(volume) * strain
     return np.concatenate([g, linear, q / 9, (q + q.sum()) / 9, g / 3, constant, [ratio]])
 
@@ -204,7 +207,7 @@ class ElasticLevel:
         return 8 * float(np.finfo(self.c.dtype).eps) * largest * float(np.sqrt(np.prod(self.edges)))
 
 
-def safe_eigenvalue(moduli: Moduli, edges: tuple[float, float, float]) -> float:
+def largest_eigenvalue(moduli: Moduli, edges: tuple[float, float, float]) -> float:
     """Upper bound of the eigenvalues of the stiffness over its diagonal: the largest of a single brick."""
     q = 1 / np.array(edges) ** 2
     if moduli.lam is None:
@@ -231,19 +234,19 @@ def grids_of(finest: ElasticLevel, *, safe: bool = False) -> Hierarchy:
     ----------
     finest : ElasticLevel
     safe : bool
-        Damp the smoother by a bound of the eigenvalues instead of an estimate.
+        Visit coarse grids once in a cycle, which is then always positive definite.
     """
     moduli, edges, levels = finest.moduli, finest.edges, [finest]
-    bound = safe_eigenvalue(moduli, edges) if safe else 0.0
+    # power steps approach the largest eigenvalue of a porous cell so slowly that a smoother damped by them may diverge
+    bound = largest_eigenvalue(moduli, edges)
     widths = [np.ones(n) for n in finest.shape]
-    while coarser(levels[-1].shape) is not None:
-        # an axis of one voxel can't be coarsened
-        doubled = [h * (2 if n > 1 else 1) for h, n in zip(edges, levels[-1].shape[::-1], strict=True)]
-        edges = (doubled[0], doubled[1], doubled[2])
-        moduli, widths = moduli.each(coarsened), coarser_widths(widths)
+    while (shape := coarser(levels[-1].shape, edges)) is not None:
+        fine = levels[-1].shape
+        x, y, z = (h * (2 if m < n else 1) for h, n, m in zip(edges, fine[::-1], shape[::-1], strict=True))
+        edges = (x, y, z)
+        moduli, widths = moduli.each(lambda values: coarsened(values, shape)), coarser_widths(widths, shape)
         # where the last coarse voxel of an axis covers one fine voxel instead of two, it is as much shorter and stiffer
         stiffer = shortness(widths).astype(moduli.mu.dtype)
         levels.append(ElasticLevel(moduli.each(lambda values: values * stiffer), edges, finest.c.dtype))  # noqa: B023
-        if safe:
-            bound = max(bound, safe_eigenvalue(moduli, edges))
-    return Hierarchy.of(list(levels), SCRATCH_ROWS, bound, planar=True, stretch=_STRETCH)
+        bound = max(bound, largest_eigenvalue(moduli, edges))
+    return Hierarchy.of(list(levels), SCRATCH_ROWS, bound, twice=not safe, planar=True, stretch=_STRETCH)
