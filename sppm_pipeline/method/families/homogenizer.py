@@ -250,7 +250,7 @@ class Homogenizer(Stage):
 
     def cell_of(self, context: Context, source: ScalarField | Voxels) -> VoxelCell:
         """Voxels of a periodic cell; errors as of `grid_of`."""
-        shape, edges = self.grid_of(context, source)
+        _, edges = self.grid_of(context, source)
         if isinstance(source, Voxels):
             values = source.values
             if not source.fractions:
@@ -258,14 +258,20 @@ class Homogenizer(Stage):
             if self.fractions == "binary":
                 return VoxelCell((values >= 0.5).astype(np.uint8), None, edges)
             return VoxelCell(None, np.asfortranarray(values, np.float32), edges)
+        return self.sampled(source, context.threads)
+
+    def sampled(self, field: ScalarField, threads: int) -> VoxelCell:
+        """Voxels of a periodic field, without a look at whether they suit it."""
         if self.fractions == "binary":
-            return VoxelCell(source.solid(cell_centers(self.resolution, source.cells), context.threads), None, edges)
+            solid = field.solid(cell_centers(self.resolution, field.cells), threads)
+            return VoxelCell(solid, None, (1.0, 1.0, 1.0))
         from sppm_pipeline.method.porosity.fractions import solid_fractions
 
+        x, y, z = (self.resolution * cells for cells in field.cells)
         fraction = solid_fractions(
-            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), shape, self.resolution
+            lambda grid, start, stop: field.sample_zyx(grid, start, stop, threads), (x, y, z), self.resolution
         )
-        return VoxelCell(None, fraction.T, edges)
+        return VoxelCell(None, fraction.T, (1.0, 1.0, 1.0))
 
     def solver_options(self, threads: int) -> dict[str, Any]:
         """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""

@@ -189,7 +189,8 @@ def restrict_plane(
             before = zero if odd != _0 and y == _0 else half
             after = zero if odd != _0 and y + _1 == my else half
             if my == ny:
-                low, middle, high, before, after = y, y, y, zero, zero
+                low = middle = high = np.uint64(y)
+                before = after = zero
             _ring_of_rows(fine, rows + low * nx, rows + middle * nx, rows + high * nx, before, after, s, nx)
             # an even number of nodes closes the ring between its last node and the first
             s[_0] = s[nx] if nx & _1 == _0 else zero

@@ -6,7 +6,6 @@ from scipy import stats
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.stiffness.stages.homogenize_realizations import HomogenizeRealizations
-from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.testing.plain_context import PlainContext
 
 FAST = {"resolution": 10, "solver_tolerance": 1e-3}
@@ -64,16 +63,3 @@ pipeline:
     assert found["2"]["porosity"]["mean"] == pytest.approx(0.5, abs=0.03)
     assert found["1"]["E_x"]["count"] == found["2"]["E_x"]["count"] == 3
     assert found["2"]["E_x"]["mean"] > 0
-
-
-def test_error_bars_by_refinement(cell):
-    context = PlainContext()
-    report = HomogenizeVoxel(resolution=27, grids=3).run(context, cell)
-    told = context.reported["convergence"]
-    assert told["resolutions"] == [12, 18, 27]
-    fine = HomogenizeVoxel(resolution=48).run(PlainContext(), cell).stiffness
-    # the finer grid lies within the bar
-    assert abs(fine[0, 0] - report.stiffness[0, 0]) <= report.error[0, 0]
-    assert report.summary()["error_relative"] < 0.3
-    with pytest.raises(ConfigError, match="coarser"):
-        HomogenizeVoxel(resolution=2, grids=3).run(PlainContext(), cell)

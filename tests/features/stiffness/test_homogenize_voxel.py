@@ -94,9 +94,10 @@ def test_a_long_voxel():
 
 
 def test_fractions_of_an_image_scale_the_stiffness():
-    report = homogenized(voxels(np.full((3, 3, 3), 0.4, np.float32)))
-    assert pytest.approx(0.4 * from_lame(*lame(1.0, 0.3)), rel=1e-5, abs=1e-6) == report.stiffness
-    assert report.porosity == pytest.approx(0.6)
+    for fraction, share in ((0.2, 0.0), (0.4, 0.3), (0.5, 0.5), (0.7, 0.9), (0.8, 1.0)):
+        report = homogenized(voxels(np.full((3, 3, 3), fraction, np.float32)))
+        assert pytest.approx(share * from_lame(*lame(1.0, 0.3)), rel=1e-5, abs=1e-6) == report.stiffness
+        assert report.porosity == pytest.approx(1 - fraction)
     binary = homogenized(voxels(np.full((3, 3, 3), 0.4, np.float32)), fractions="binary")
     assert not binary.stiffness.any()
     assert binary.solver["components"] == 0

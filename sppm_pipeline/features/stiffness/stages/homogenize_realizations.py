@@ -37,7 +37,7 @@ class HomogenizeRealizations(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.realizations"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     draws: int = options.draws(10, note="for each size", maximum=100_000, formerly="samples")
     assemblies: tuple[int, ...] = option((1,), help="cells along the edge of each assembly", minimum=1, maximum=64)
@@ -45,7 +45,7 @@ class HomogenizeRealizations(ElasticHomogenizer):
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         made = recipe(palette, self.draws * len(self.assemblies))
         boxes = [made if not made.cells else made.in_box((size,) * 3) for size in self.assemblies]
-        found = [self.solving(box, self.resolution, self.draws) for box in boxes]
+        found = [self.solving(box, self.resolution, self.draws * self.effort) for box in boxes]
         return Size(
             samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
             voxels=sum(s.voxels for s in found), resident=max(s.resident for s in found),
@@ -84,7 +84,7 @@ def _tile_stage(recipe: Recipe) -> str | None:
 
 
 def _numbers(summary: Mapping[str, Any]) -> dict[str, float | None]:
-    """The columns of the table; None where a structure that gives way has no such number."""
+    """The columns of the table; None where a structure without stiffness has no such number."""
     young, fit = summary["E"], summary["isotropic"]
     values = {
         "porosity": summary["porosity"],

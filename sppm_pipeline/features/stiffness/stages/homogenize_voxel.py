@@ -9,15 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Homogenizer, Palette, ScalarField, Size, Voxels, option, options
-from sppm_pipeline.method.families.homogenizer import LOCKING, VoxelCell, grids_below, per_phase, refined
+from sppm_pipeline.features.stiffness.numerics.refinement import (
+    Limit,
+    limit_of_grids,
+    mean_thickness,
+    second_order,
+    stiff_share,
+)
+from sppm_pipeline.method.families.homogenizer import LOCKING, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.services.multigrid.transfer import coarsened
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody
+    from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody, Homogenized
 
 _INCOMPRESSIBLE = 0.4999
-"""Poisson's ratio above which voxels are refused: here a solution takes 300 iterations, and beyond .499999 single
+"""Poisson's ratio above which voxels are refused: a solution takes 300 iterations here, and beyond 0.499999 single
 precision loses the shear modulus beside the bulk modulus."""
+
+_COARSEST = 4
+"""Voxels along an edge from which on a coarser grid makes sense at all (heuristic; error bars tell the rest)."""
+
+_RELIABLE = 0.15
+"""Error bar, over the stiffness, above which there is a warning (heuristic): walls of two voxels have 0.13."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +45,10 @@ class ElasticHomogenizer(Homogenizer):
     )
     filling_poisson: float = option(0.3, help="Poisson's ratio of what fills the void", above=-1, below=0.5)
     stress_unit: str = options.stress_unit("relative", formerly="unit")
+    grids: int | None = option(
+        None, help="grids for an error bar, of an image made of blocks of its voxels; the limit of fine ones is "
+        "extrapolated; 2 if omitted where voxels count by solid fractions, else 1", minimum=1, maximum=3,
+    )  # fmt: skip
     ersatz: float = option(
         0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
         minimum=0, maximum=1,
@@ -75,21 +93,112 @@ class ElasticHomogenizer(Homogenizer):
         """Five fields of 16 bits, four whole ones for each case in progress, coarser grids, Lamé constants, weights."""
         return 30 + 54 * min(threads, 6) + 16
 
+    def _counts(self) -> list[int]:
+        """Voxels along the edge of a cell of a field on each grid, the finest first."""
+        grids = self.grids or (2 if self.fractions == "auto" and self.resolution >= _COARSEST else 1)
+        # half as fine, and in between: the finest costs most, and on coarser ones most cells fall to pieces
+        counts = [self.resolution, *(max(2, round(self.resolution * part)) for part in (0.5, 0.75)[: grids - 1])]
+        if len(set(counts)) < grids:
+            raise ConfigError(
+                f"a resolution of {self.resolution} has no coarser grids", hint="raise it, or write `grids: 1`"
+            )
+        return counts
+
+    @property
+    def effort(self) -> float:
+        """Voxels of all grids of a cell over those of the finest."""
+        return float(sum((count / self.resolution) ** 3 for count in self._counts()))
+
     def stiffness_of(
         self, context: Context, source: ScalarField | Voxels, expansion: tuple[float, ...] = ()
     ) -> StiffnessReport:
-        """Solve six load cases; `expansion` has coefficients of the void and of the phases from 1 on, or nothing."""
-        from sppm_pipeline.method.connectivity.components import phase_report
-
+        """Homogenize on all grids; `expansion` has coefficients of the void and of the phases from 1 on, or nothing."""
         cell = self.cell_of(context, source)
         cell.check_materials(context, len(self._materials()[0]), "`young` and `poisson`")
-        connected, phases, shape = phase_report(cell.occupied().T), self._phases(cell), cell.shape
-        whole = cell.fraction is None
-        body, expanding = self._body(cell, expansion)
+        thickness = float("inf") if cell.fraction is None else mean_thickness(cell.fraction)
+        phases, image = self._phases(cell), self._coarser_image(source, cell)
+        spacings = [self.resolution / n for n in self._counts()] if isinstance(source, ScalarField) else [1.0]
+        spacings += [2.0] if image else []
+        report = self._solved(context, cell, expansion, phases)
         del cell  # the solver needs the memory
+        if len(spacings) == 1:
+            return report
+        values, heat = [report.stiffness], [_held_stress(report.stiffness, report.expansion)]
+        for number, spacing in enumerate(spacings[1:], 2):
+            if image is None:
+                assert isinstance(source, ScalarField)
+                coarse = replace(self, resolution=round(self.resolution / spacing)).sampled(source, context.threads)
+            else:
+                coarse = image
+            found = self._found(context, coarse, expansion)
+            values.append(found.stiffness)
+            heat.append(_held_stress(found.stiffness, found.expansion))
+            context.progress(number, len(spacings), "grids")
+        moduli = sorted(young for share, young, _ in phases if share > 0)
+        limit = limit_of_grids(spacings, values, thickness, 1 - moduli[0] / moduli[-1] if moduli[-1] else 0.0)
+        result = replace(
+            report, stiffness=limit.value, error=limit.error,
+            expansion=self._free_strain(report, limit, second_order(spacings, heat)),
+            solver=report.solver | {
+                "grids": [round(n) for n in report.solver["grid"][0] / np.array(spacings)],
+                "C11": [float(value[0, 0]) for value in values],
+                "extrapolated": limit.extrapolated,
+            },
+        )  # fmt: skip
+        self._warn_of_error(context, result, thickness)
+        return result
+
+    @staticmethod
+    def _free_strain(report: StiffnessReport, limit: Limit, held: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Thermal expansion from extrapolated stresses, in which Levin's relation to the stiffness is linear."""
+        if report.expansion is None or not limit.extrapolated:
+            return report.expansion
+        free, loaded = np.full(6, np.nan), np.isfinite(report.expansion)
+        free[loaded] = np.linalg.lstsq(limit.value[np.ix_(loaded, loaded)], held[loaded], rcond=1e-9)[0]
+        return free
+
+    @staticmethod
+    def _warn_of_error(context: Context, report: StiffnessReport, thickness: float) -> None:
+        """Warn of error bars too long to rely on."""
+        error = report.summary()["error_relative"]
+        if not report.solver["extrapolated"]:
+            context.warn(
+                "these grids are too coarse to extrapolate; the stiffness is that of the finest, with an error bar of "
+                f"{error:.0%}: raise `resolution`"
+            )
+        elif error > _RELIABLE:
+            context.warn(
+                f"the error bar is {error:.0%} of the stiffness, as walls and struts are {thickness:.2g} voxels thick "
+                "in the mean: raise `resolution`"
+            )
+
+    def _coarser_image(self, source: ScalarField | Voxels, cell: VoxelCell) -> VoxelCell | None:
+        """The image of half as many voxels, where solid fractions can be averaged."""
+        if self.grids == 1 or not isinstance(source, Voxels) or cell.fraction is None or not _has_fractions(source):
+            return None
+        x, y, z = (2 * h for h in cell.edges)
+        return VoxelCell(None, np.asfortranarray(coarsened(cell.fraction), np.float32), (x, y, z))
+
+    def _found(self, context: Context, cell: VoxelCell, expansion: tuple[float, ...]) -> Homogenized:
+        """The stiffness of a cell on its grid."""
         options = self.solver_options(context.threads)
         del options["precision"]  # which the body has
-        found = body.stiffness(expansion=expanding, **options)
+        body, expanding = self._body(cell, expansion)
+        return body.stiffness(expansion=expanding, **options)
+
+    def _solved(
+        self,
+        context: Context,
+        cell: VoxelCell,
+        expansion: tuple[float, ...],
+        phases: tuple[tuple[float, float, float], ...],
+    ) -> StiffnessReport:
+        """The report of one grid, with what there is to warn of."""
+        from sppm_pipeline.method.connectivity.components import phase_report
+
+        # of what carries load: voxels that are hardly solid join nothing
+        connected = phase_report(_loaded(cell).occupied().T)
+        found = self._found(context, cell, expansion)
         warnings = self.solver_warnings(found.solved, found.precision)
         # of what is there: materials of phases that the image lacks do no harm
         if (largest := max((nu for share, e, nu in phases if share > 0 and e > 0), default=-1.0)) > LOCKING:
@@ -110,11 +219,11 @@ class ElasticHomogenizer(Homogenizer):
         return StiffnessReport(
             found.stiffness,
             phases,
-            f"{' x '.join(map(str, shape))} voxels, {'whole' if whole else 'solid fractions'}",
+            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
             unit=None if self.stress_unit == "relative" else self.stress_unit,
             expansion=found.expansion,
             solver={
-                "grid": list(shape),
+                "grid": list(cell.shape),
                 "precision": found.precision,
                 "iterations": [case.iterations for case in found.solved],
                 "residuals": [float(case.residual) for case in found.solved],
@@ -156,6 +265,7 @@ class ElasticHomogenizer(Homogenizer):
         """The cell as it is solved, and the coefficients of expansion of its voxels, if there are any."""
         from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody
 
+        cell = _loaded(cell)
         lam, mu = zip(*self._constants(), strict=True)
         dtype = np.float32 if self.precision == "single" else np.float64
         firsts, seconds = cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
@@ -166,29 +276,40 @@ class ElasticHomogenizer(Homogenizer):
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
 
 
+def _has_fractions(image: Voxels) -> bool:
+    """True if an image has voxels that are partly solid, and even numbers of voxels, to be halved."""
+    values = image.values
+    partly = image.fractions and bool(np.any((values > 0) & (values < 1)))
+    return partly and all(n % 2 == 0 and n >= _COARSEST for n in image.shape)
+
+
+def _loaded(cell: VoxelCell) -> VoxelCell:
+    """The cell with shares of the stiffness in place of solid fractions."""
+    return cell if cell.fraction is None else cell._replace(fraction=stiff_share(cell.fraction))
+
+
+def _held_stress(stiffness: NDArray[np.float64], expansion: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Stress of a clamped cell per kelvin, 0 where nothing carries load."""
+    return np.zeros(6) if expansion is None else stiffness @ np.nan_to_num(expansion)
+
+
 @dataclass(frozen=True, kw_only=True)
 class HomogenizeVoxel(ElasticHomogenizer):
     """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
-    voxels at its surface get the stiffness of the solid times their solid fraction, which converges much
-    faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own;
-    `extract.phases` makes them of fields. What fills the void has a stiffness by `filling_young`; voxels at the surface
-    then have the mean of both, weighted by volume.
-
-    With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
-    (Richardson), and the difference becomes the error bar of the result, which stays that of the finest grid.
+    voxels at its surface count as void up to a solid fraction of 1/4, as solid from 3/4 on, and share the stiffness in
+    between. The result is extrapolated from this grid and one half as fine to the limit of fine grids (Richardson), and
+    has an error bar; `grids: 1` with `fractions: binary` is the paper's way. Images may hold several phases, each with
+    a material of its own; `extract.phases` makes them of fields. What fills the void has a stiffness by
+    `filling_young`; voxels at the surface then have a mean of both.
 
     Given the coefficients of thermal expansion of the phases, it finds that of the cell as well.
     """
 
     name: ClassVar[str] = "homogenize.voxel"
-    version: ClassVar[int] = 2
-    reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
-
-    grids: int = option(
-        1, help="grids for an error bar, of an image made of blocks of its voxels; 1 for none", minimum=1, maximum=3
-    )
+    version: ClassVar[int] = 3
+    reported: ClassVar[tuple[str, ...]] = ()
 
     expansion: float | tuple[float, ...] | None = option(
         None, help=f"coefficient of thermal expansion of the solid, {options.EACH_PHASE}", unit="1/K",
@@ -220,33 +341,21 @@ class HomogenizeVoxel(ElasticHomogenizer):
         return (given[0] if self.filling_expansion is None else self.filling_expansion, *given) if given else ()
 
     def estimate(self, palette: Palette, source: Size) -> Size:
-        """All grids; the finest needs most memory."""
-        found = [self.solving(source, n) for n in self._resolutions()]
-        return replace(found[-1], samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
-                       voxels=sum(s.voxels for s in found))  # fmt: skip
-
-    def _resolutions(self) -> list[int]:
-        return grids_below(self.resolution, self.grids)
+        return self.solving(source, self.resolution, 1.0 if source.voxels else self.effort)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
-        """Homogenize, on coarser grids first if an error bar is requested."""
+        """Homogenize."""
         self.check_image(context, source)
-        if self.grids == 1:
-            return self.stiffness_of(context, source, self._expansions())
+        expansions = self._expansions()
+        if isinstance(source, ScalarField) or (self.grids or 1) == 1 or _has_fractions(source):
+            return self.stiffness_of(context, source, expansions)
+        # steps of whole voxels make errors of first order, too irregular to extrapolate
         counts, reports, limit = refined(
             context,
             source,
-            self._resolutions(),
-            lambda on, count, given: replace(self, resolution=count).stiffness_of(on, given, self._expansions()),
+            [0] * (self.grids or 1),
+            lambda on, count, given: replace(self, grids=1).stiffness_of(on, given, expansions),
             lambda report: report.stiffness,
         )
-        context.report(
-            convergence={
-                "resolutions": counts,
-                "C11": [float(report.stiffness[0, 0]) for report in reports],
-                "limit": limit.value,
-                "order": limit.order,
-                "order_observed": limit.observed,
-            }
-        )
-        return replace(reports[-1], error=limit.error)
+        solver = {"grids": counts, "C11": [float(report.stiffness[0, 0]) for report in reports], "extrapolated": False}
+        return replace(reports[-1], error=limit.error, solver=reports[-1].solver | solver)

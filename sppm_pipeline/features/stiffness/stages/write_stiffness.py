@@ -76,7 +76,7 @@ def _error_bars(report: StiffnessReport) -> list[str]:
     from sppm_pipeline.services.formats.inp import abaqus_constants
 
     if report.error is None:
-        return ["error of the grid: not estimated (homogenize.voxel tells it with grids: 2 or 3)"]
+        return ["error of the grid: not estimated (homogenize.voxel does with grids: 2 or 3)"]
     summary = report.summary()
     words = [f"{value:.2g}" for value in abaqus_constants(report.error)]
     moduli = [f"{e:.4g} +- {error:.2g}" for e, error in zip(summary["E"], summary["E_error"], strict=True)]
