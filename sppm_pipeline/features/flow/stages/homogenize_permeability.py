@@ -163,7 +163,10 @@ class HomogenizePermeability(FlowHomogenizer):
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
 
     grids: int = option(
-        1, help="grids for an error bar, of an image made of blocks of its voxels; 1 for none", minimum=1, maximum=3
+        1,
+        help="grids solved, for an error bar; 1 for none, and those of an image are blocks of its voxels",
+        minimum=1,
+        maximum=3,
     )
 
     def estimate(self, palette: Palette, source: Size) -> Size:

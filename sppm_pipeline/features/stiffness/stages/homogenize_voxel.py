@@ -46,8 +46,8 @@ class ElasticHomogenizer(Homogenizer):
     filling_poisson: float = option(0.3, help="Poisson's ratio of what fills the void", above=-1, below=0.5)
     stress_unit: str = options.stress_unit("relative", formerly="unit")
     grids: int | None = option(
-        None, help="grids for an error bar, of an image made of blocks of its voxels; the limit of fine ones is "
-        "extrapolated; 2 if omitted where voxels count by solid fractions, else 1", minimum=1, maximum=3,
+        None, help="grids solved, for an error bar; the limit of fine ones is extrapolated; 2 if omitted where "
+        "voxels count by solid fractions, else 1", minimum=1, maximum=3,
     )  # fmt: skip
     ersatz: float = option(
         0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
