@@ -83,10 +83,7 @@ def coefficients(
     # from sums over corners to strains times the root of the volume
     g = np.sqrt(volume) / (4 * h)
     q = g * g
-    import os
-
-    w = float(os.environ.get("QM6", "0"))
-    linear = [(2 * q[a] + (1 - w) * q[b]) / 3 for a, b in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))]
+    linear = [(2 * q[a] + q[b]) / 3 for a, b in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))]
     constant = np.zeros(6) if strain is None else np.sqrt(volume) * strain
     return np.concatenate([g, linear, q / 9, (q + q.sum()) / 9, g / 3, constant, [ratio]])
 
