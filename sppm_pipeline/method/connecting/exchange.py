@@ -113,11 +113,7 @@ def lower_degrees(
 
 @jit
 def _raise_degree(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-    u: int,
+    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64], u: int
 ) -> bool:
     """One more edge at u along the cheapest trail: in; in, out; or in, out, in."""
     none = int(np.int64(-1))
@@ -257,10 +253,7 @@ def _shorter(
 
 @jit
 def make_loops(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
+    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
 ) -> bool:
     """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
 

@@ -71,18 +71,8 @@ def throw_darts(
 ) -> int:
     """Throw up to `budget` darts into a box until `wanted` of them were kept; return how many were.
 
-    Parameters
-    ----------
-    cells : CellList
-        Points to keep away from; kept darts are added.
-    stream : (1,) uint64
-        Random stream; advanced.
-    lower, side : (3,)
-        Lower corner and edges of the box; a zero edge makes it a plane.
-    wanted, budget : int
-        Points to add, and darts allowed.
-    family, member : int
-        Labels of the new points.
+    Kept darts are added to `cells` with the labels `family` and `member`; `stream` (1,) is advanced. A zero edge in
+    `side` (3,) makes the box a plane.
     """
     edge = (side[0], side[1], side[2])
     placed = 0
