@@ -116,8 +116,8 @@ def _run(
     first_site = np.floor_divide(start - high, bank.n).astype(np.int64) + 1
     stop_site = -np.floor_divide(low - stop, bank.n).astype(np.int64)
     sites, begin, patches = patches_at(bank, tiling, first_site, stop_site)
-    # The rows that are summed hold every patch whole; the last one may run over by a block.
-    # so that no patch has to be clipped at its low end, and the inner loop stays without a branch
+    # the rows that are summed hold every patch whole, so that none has to be clipped at its low end and the inner loop
+    # stays without a branch; the last one may run over by a block
     base = min(int(sites.first[0]) * bank.n + int(low[0]), corner[0])
     end = max(int(sites.stop[0] - 1) * bank.n + int(high[0]), int(stop[0]))
     width = end - base

@@ -22,8 +22,9 @@ from sppm_pipeline.method.connecting.moves import (
     insert,
     joined,
 )
-from sppm_pipeline.method.connecting.trees import find_root, mark_bridges
+from sppm_pipeline.method.connecting.trees import mark_bridges
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import find_root
 
 
 @jit

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import lengths_in
+from sppm_pipeline.services.union_find import find_root, unite
 
 
 def as_points(points: ArrayLike) -> NDArray[np.float64]:
@@ -169,15 +170,6 @@ def _prim(inside: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[n
 
 
 @jit
-def find_root(parent: NDArray[np.int64], i: int) -> int:
-    """Root of i in a union-find forest; halves the path on its way."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@jit
 def kruskal(n: int, edges: Indices, order: NDArray[np.int64]) -> NDArray[np.int64]:
     """Indices of the edges that join two components when the edges are taken in the given order, in that order."""
     parent = np.arange(n)
@@ -198,10 +190,7 @@ def component_labels(n: int, edges: Indices) -> NDArray[np.int64]:
     """Component of every vertex, (n,) int64, numbered 0, 1, ... in the order of their lowest vertex."""
     parent = np.arange(n)
     for e in range(edges.shape[0]):
-        a = find_root(parent, edges[e, 0])
-        b = find_root(parent, edges[e, 1])
-        if a != b:
-            parent[max(a, b)] = min(a, b)
+        unite(parent, edges[e, 0], edges[e, 1])
     labels = np.empty(n, np.int64)
     count = 0
     for i in range(n):

@@ -125,8 +125,7 @@ def add_prepared(
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
-    # Balance: at least four blocks a thread, as long as there are layers.
-    # blocks of layers are disjoint, so that threads never write to the same sample
+    # blocks of layers are disjoint, so that threads never write to the same sample; four a thread even out costs
     height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
 
     width = 0 if stretched else 2 * int(pore_reach / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)

@@ -105,8 +105,7 @@ def fill_active_voxels(
     for axis in range(3):
         if side[axis] > 0.0:
             dimension += 1
-    # A voxel with this edge is wholly covered by a point inside it.
-    # the diagonal of such a voxel is the spacing
+    # the diagonal of a voxel with this edge is the spacing: a point inside it covers all of it
     coarsest = cells.reach / np.sqrt(max(1.0, float(dimension)))
     parts = np.ones(3, dtype=np.int64)
     edge = np.zeros(3)

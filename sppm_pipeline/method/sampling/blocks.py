@@ -143,8 +143,8 @@ def throw_blocks(
     # an axis along which the only block is its own neighbor repeats inside the cell list
     wraps = np.array([periodic and n == 1 for n in shape])
     most = int((quotas.ravel() + np.diff(old[1])).max(initial=0))
-    # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
-    # memory for one block and what lies around it, however large the lattice
+    # memory for one block and what lies around it within the widest spacing, however large the lattice; no packing of
+    # balls is denser than pi / sqrt(18)
     rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
     naive = math.inf if graded else NAIVE_SHARE * box_capacity(1.0, spacing, True)
     missing = np.zeros(quotas.size, np.int64)
