@@ -187,22 +187,15 @@ class TilingArrays(NamedTuple):
 
 def lone_periodic_cell(interior: int = 0, colors: tuple[int, int, int] = (0, 0, 0)) -> TilingArrays:
     """One cell whose opposite faces are the same: a periodic tiling of 1 x 1 x 1 cells."""
-    faces = []
-    for axis in range(3):
-        shape = [1, 1, 1]
-        shape[axis] = 2
-        faces.append(np.full(shape, colors[axis], dtype=np.int32))
-    return TilingArrays(np.full((1, 1, 1), interior, dtype=np.int32), (faces[0], faces[1], faces[2]), True)
+    x, y, z = (np.full(np.where(np.arange(3) == axis, 2, 1), color, np.int32) for axis, color in enumerate(colors))
+    return TilingArrays(np.full((1, 1, 1), interior, np.int32), (x, y, z), True)
 
 
 def check_tiling(tiling: TilingArrays, pieces: Pieces | None = None) -> None:
     """Check shapes and types, and with `pieces` that every interior and color exists.
 
-    Raises
-    ------
-    ValueError
-        If a shape or type is wrong, the first and last plane of faces of a periodic tiling differ, or a number names no
-        piece.
+    Raises ValueError if a shape or type is wrong, the first and last plane of faces of a periodic tiling differ, or a
+    number names no piece.
     """
     shape = tiling.interior.shape
     if len(shape) != 3 or len(tiling.faces) != 3:
@@ -231,23 +224,13 @@ PIECES_A_SITE = 10
 
 
 class Sites(NamedTuple):
-    """A box of lattice sites, first <= site < stop, in index order z, y, x.
+    """A box of lattice sites, first <= site < stop, in index order z, y, x."""
 
-    Attributes
-    ----------
-    first, stop : (3,) int64
-        Corners, x, y, z.
-    interior : (sz, sy, sx) int32
-        Interior of the cell, -1 = no cell.
-    low, high : (3, sz, sy, sx) int32
-        Colors of the low and high face of each axis, -1 = none; `high` is -1 where there is no cell.
-    """
-
-    first: NDArray[np.int64]
-    stop: NDArray[np.int64]
-    interior: NDArray[np.int32]
-    low: NDArray[np.int32]
-    high: NDArray[np.int32]
+    first: NDArray[np.int64]  # (3,) x, y, z
+    stop: NDArray[np.int64]  # (3,)
+    interior: NDArray[np.int32]  # (sz, sy, sx) interior of the cell, -1 = no cell
+    low: NDArray[np.int32]  # (3, sz, sy, sx) colors of the low face of each axis, -1 = none
+    high: NDArray[np.int32]  # those of the high face; -1 where there is no cell
 
 
 def sites_between(tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[np.int64]) -> Sites:
@@ -290,12 +273,9 @@ def _across(index: list[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any], NDAr
 
 
 def site_pieces(numbers: PieceNumbers, sites: Sites) -> NDArray[np.int32]:
-    """Numbers of the pieces at each site, -1 = none.
+    """Numbers of the pieces at each site, (sz, sy, sx, 10), -1 = none.
 
-    Returns
-    -------
-    (sz, sy, sx, 10) int32
-        Interior, low faces of x, y, z, then the connectors by axis and side.
+    Interior, low faces of x, y, z, then the connectors by axis and side.
     """
     found = np.empty((*sites.interior.shape, PIECES_A_SITE), dtype=np.int32)
     found[..., 0] = sites.interior

@@ -153,20 +153,9 @@ def kernels_in_box(
 ) -> Kernels:
     """All kernels of a tiling that reach a box, up to the cut-off of the catalog; only cells near the box are visited.
 
-    Parameters
-    ----------
-    catalog : Catalog
-        Of the tile set.
-    tiling : TilingArrays
-        Which piece stands where; a periodic tiling repeats for ever.
-    lower, upper : (3,) float64
-        Corners of the box in cell sizes; may lie outside of the tiling.
-
-    Returns
-    -------
-    Kernels
-        In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
-        kernels does not depend on the box.
+    Corners are in cell sizes and may lie outside of the tiling; a periodic one repeats for ever. Kernels have a fixed
+    order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two kernels does not
+    depend on the box.
     """
     if catalog.least is None or catalog.most is None:
         return empty_kernels()

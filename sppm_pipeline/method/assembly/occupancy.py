@@ -9,24 +9,10 @@ from sppm_pipeline.services.jit.compiled import jit
 
 
 def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tuple[int, int]) -> NDArray[np.uint8]:
-    """One gray layer from a finer occupancy.
+    """One gray layer (h, w) from a finer occupancy ([s,] h * fy, w * fx), with s sheets if subsampled along z.
 
-    Parameters
-    ----------
-    samples : (s, h * fy, w * fx) or (h * fy, w * fx) uint8 or bool
-        Occupancy, subsampled within the layer and, if there are s sheets, also along z; anything but 0 is inside.
-    factor : (int, int)
-        (fx, fy), subsamples per pixel along x and y.
-
-    Returns
-    -------
-    (h, w) uint8
-        255 times the fraction that is inside, rounded to the nearest integer, halves upwards.
-
-    Raises
-    ------
-    ValueError
-        If the samples are not an integer number of pixels.
+    Pixels are 255 times the fraction that is inside (not 0), rounded to the nearest integer, halves upwards. Raises
+    ValueError if the samples are not an integer number of pixels (fx, fy).
     """
     sheets = samples[None] if samples.ndim == 2 else samples
     fx, fy = factor
@@ -42,16 +28,7 @@ def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tup
 
 
 def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """First sample of each row that is set and the one after the last; (0, 0) for an empty row.
-
-    Parameters
-    ----------
-    mask : (nz, ny, nx) uint8
-
-    Returns
-    -------
-    (nz, ny, 2) int32
-    """
+    """First sample of each row of a mask (nz, ny, nx) that is set, and the one after the last; (0, 0) for none."""
     spans = np.zeros((*mask.shape[:2], 2), np.int32)
     _spans(mask, spans)
     return spans

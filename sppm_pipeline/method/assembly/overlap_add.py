@@ -37,32 +37,13 @@ def assemble(
 ) -> NDArray[np.float32]:
     """The field G in a box of samples, layer_start <= k < layer_stop, y0 <= j < y1, x0 <= i < x1.
 
-    Parameters
-    ----------
-    bank : PatchBank
-        Sampled pieces; sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell sizes, and so on.
-    tiling : TilingArrays
-        Which piece stands where.
-    layer_start, layer_stop, x0, x1, y0, y1 : int
-        The box, as global indices of samples. It may leave the tiling; beyond the reach of its pieces the field is
-        zero, unless the tiling is periodic and repeats.
-    out : (layers, y1 - y0, x1 - x0) float32, C-contiguous, optional
-        Receives the field; what it held is overwritten.
-    threads : int
-        Number of threads; the result does not depend on it.
-    wanted : (y1 - y0, 2) int32, optional
-        The part of each row that matters, in all layers: its first sample, counted from x0, and the one after the last.
-        Others are left as they are in `out`, 0 without it.
+    Sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell sizes, and so on. The box may leave the tiling; beyond
+    the reach of its pieces the field is zero, unless the tiling is periodic and repeats. `wanted` (y1 - y0, 2) is the
+    part of each row that matters, in all layers: its first sample, counted from x0, and the one after the last; others
+    are left as they are in `out`, 0 without it. `out` (layers, y1 - y0, x1 - x0) is overwritten. The result does not
+    depend on the threads.
 
-    Returns
-    -------
-    (layers, y1 - y0, x1 - x0) float32
-        The field.
-
-    Raises
-    ------
-    ValueError
-        If the bank has no patches for a cell near the box, or `out` does not fit.
+    Raises ValueError if the bank has no patches for a cell near the box, or `out` does not fit.
     """
     shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
     if bank.solid_level is not None:
@@ -89,21 +70,11 @@ def assemble_bits(
     threads: int = 1,
     wanted: NDArray[np.int32] | None = None,
 ) -> NDArray[np.uint64]:
-    """Bits of the samples below a level: set = solid. No layer of the field is held in memory.
+    """Bits (layers, y1 - y0, words) of the samples below a level: set = solid. No layer of the field is held in memory.
 
-    Parameters and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid. Bits of
-    what is not wanted are 0, or what they are.
-
-    Parameters
-    ----------
-    level : float
-        The level C; solid is G < C, decided on the float32 values that `assemble` gives. An int16 bank serves the level
-        it was built for.
-
-    Returns
-    -------
-    (layers, y1 - y0, words) uint64
-        The solid, see `services.bit_rows`; the first bit of a row is x0.
+    Arguments and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid. Bits of what
+    is not wanted are 0, or what they are. Solid is G < C, decided on the float32 values that `assemble` gives; an int16
+    bank serves the level C it was built for. Rows are those of `services.bit_rows`; the first bit is x0.
     """
     layers, rows, columns = _shape(layer_start, layer_stop, x0, x1, y0, y1)
     if bank.solid_level is not None and level != bank.solid_level:
@@ -145,8 +116,8 @@ def _run(
     first_site = np.floor_divide(start - high, bank.n).astype(np.int64) + 1
     stop_site = -np.floor_divide(low - stop, bank.n).astype(np.int64)
     sites, begin, patches = patches_at(bank, tiling, first_site, stop_site)
-    # The rows that are summed hold every patch whole; the last one may run over by a block.
-    # so that no patch has to be clipped at its low end, and the inner loop stays without a branch
+    # the rows that are summed hold every patch whole, so that none has to be clipped at its low end and the inner loop
+    # stays without a branch; the last one may run over by a block
     base = min(int(sites.first[0]) * bank.n + int(low[0]), corner[0])
     end = max(int(sites.stop[0] - 1) * bank.n + int(high[0]), int(stop[0]))
     width = end - base
@@ -165,34 +136,15 @@ def _run(
 
     def work(part: range) -> None:
         _assemble_blocks(
-            part.start,
-            part.stop,
-            across,
-            np.array([block_layers, block_rows, width]),
-            np.zeros(block_layers * block_rows * width, dtype=kind),
-            wanted,
-            base,
-            start,
-            shape,
+            part.start, part.stop, across, np.array([block_layers, block_rows, width]),
+            np.zeros(block_layers * block_rows * width, dtype=kind), wanted, base, start, shape,
             np.empty(0, np.float32) if field is None else field.reshape(-1),
-            np.empty(0, np.uint64) if solid is None else solid.reshape(-1),
-            np.zeros(8, np.uint64),
-            solid is not None,
-            kind(level) if bank.solid_level is None else kind(FULL),
-            bank.n,
-            sites.first,
-            np.array(sites.interior.shape),
-            begin,
-            patches,
-            bank.low,
-            bank.size,
-            np.array([low[1], high[1], low[2], high[2]], dtype=np.int64),
-            bank.first_row,
-            bank.row_low,
-            bank.row_blocks,
-            bank.row_start,
-            bank.data,
-        )
+            np.empty(0, np.uint64) if solid is None else solid.reshape(-1), np.zeros(8, np.uint64), solid is not None,
+            kind(level) if bank.solid_level is None else kind(FULL), bank.n, sites.first,
+            np.array(sites.interior.shape), begin, patches, bank.low, bank.size,
+            np.array([low[1], high[1], low[2], high[2]], dtype=np.int64), bank.first_row, bank.row_low,
+            bank.row_blocks, bank.row_start, bank.data,
+        )  # fmt: skip
 
     blocks = down * across
     # four parts a thread even out what blocks differ in cost

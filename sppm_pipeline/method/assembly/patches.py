@@ -32,49 +32,26 @@ _SHIFT = np.uint64(4)
 
 
 class PatchBank(NamedTuple):
-    """Samples of all pieces at n voxels a cell edge; sample i lies at (i + offset) / n cell sizes.
+    """Samples of all pieces at n voxels a cell edge; sample i lies at (i + offset) / n cell sizes."""
 
-    Attributes
-    ----------
-    n : int
-        Voxels along a cell edge.
-    offset : float
-        0.5 for voxel centers, 0 for voxel corners.
-    cutoff : float
-        Cut-off of the kernels, and below it samples are trimmed from the ends of the rows.
-    numbers : PieceNumbers
-        The pieces.
-    piece : (pieces + 1,) int32
-        Patch of each piece, -1 = the piece is empty, -2 = it has no patch of its own. The last entry is -1.
-    codes, merged : (m,) int64, (m,) int32
-        Sorted codes of the merged combinations, and the patch of each.
-    low, size : (p, 3) int32
-        First sample, relative to the low corner of the cell, and number of samples along x, y, z of each patch.
-    first_row : (p,) int64
-        Where the rows of a patch begin in the row tables; row (z, y) is number ``z size_y + y``.
-    row_low, row_blocks, row_start : (rows,) int32, int32, int64
-        First sample of a row relative to the cell, its length in blocks of 16 samples, and where it begins in `data`.
-    data : (samples,) float32 or int16
-        The samples; int16 in units of ``solid_level / FULL``, and never above FULL.
-    solid_level : float or None
-        The only level that an int16 bank can be asked for; None for float32.
-    """
-
-    n: int
-    offset: float
-    cutoff: float
+    n: int  # voxels along a cell edge
+    offset: float  # 0.5 for voxel centers, 0 for voxel corners
+    cutoff: float  # of the kernels; below it samples are trimmed from the ends of the rows
     numbers: PieceNumbers
+    # (pieces + 1,) patch of each piece, -1 = the piece is empty, -2 = it has no patch of its own; the last is -1
     piece: NDArray[np.int32]
-    codes: NDArray[np.int64]
-    merged: NDArray[np.int32]
-    low: NDArray[np.int32]
-    size: NDArray[np.int32]
+    codes: NDArray[np.int64]  # (m,) sorted codes of the merged combinations
+    merged: NDArray[np.int32]  # (m,) the patch of each
+    low: NDArray[np.int32]  # (p, 3) first sample of each patch along x, y, z, relative to the low corner of the cell
+    size: NDArray[np.int32]  # (p, 3) its number of samples
+    # (p,) where the rows of a patch begin in the row tables; row (z, y) is number ``z size_y + y``
     first_row: NDArray[np.int64]
-    row_low: NDArray[np.int32]
-    row_blocks: NDArray[np.int32]
-    row_start: NDArray[np.int64]
+    row_low: NDArray[np.int32]  # (rows,) first sample relative to the cell
+    row_blocks: NDArray[np.int32]  # (rows,) length in blocks of 16 samples
+    row_start: NDArray[np.int64]  # (rows,) where it begins in `data`
+    # (samples,) float32, or int16 in units of ``solid_level / FULL`` and never above FULL
     data: NDArray[np.float32] | NDArray[np.int16]
-    solid_level: float | None
+    solid_level: float | None  # the only level that an int16 bank can be asked for; None for float32
 
     @property
     def nbytes(self) -> int:
@@ -161,27 +138,14 @@ def build_bank(
     threads: int = 1,
     solid_level: float | None = None,
 ) -> PatchBank:
-    """Sample the pieces of a tile set.
+    """Sample the pieces of a tile set, in cell units, at n voxels a cell edge; `offset` as in `PatchBank`.
 
-    Parameters
-    ----------
-    pieces : Pieces
-        The kernel sets, in cell units.
-    n : int
-        Voxels along a cell edge.
-    combinations : (m, 7) int32, optional
-        Combinations of an interior and six colors to merge, each once. The bank then serves tilings with
-        these combinations only. Without it every piece has a patch of its own, and the bank serves any tiling.
-    offset : float
-        0.5 samples voxel centers, 0 voxel corners.
-    cutoff : float
-        A kernel is dropped below it, and a patch is trimmed where the sum of its kernels lies below it: with p patches
-        over a voxel, trimming changes the sum by less than p times the cut-off.
-    threads : int
-        Number of threads; the result does not depend on it.
-    solid_level : float, optional
-        Build an int16 bank, which serves `assemble_bits` at this level only, with half the memory. With p patches over
-        a voxel, rounding changes the sum by at most ``p / 2 / 32767`` of the level.
+    With `combinations` (m, 7) of an interior and six colors, each once, these are merged, and the bank serves tilings
+    with these only. Without, every piece has a patch of its own, and the bank serves any tiling. A kernel is dropped
+    below the cut-off, and a patch is trimmed where the sum of its kernels lies below it: with p patches over a voxel,
+    trimming changes the sum by less than p times the cut-off. A `solid_level` makes an int16 bank, which serves
+    `assemble_bits` at this level only, with half the memory; rounding changes the sum by at most ``p / 2 / 32767`` of
+    the level. The result does not depend on the threads.
     """
     if solid_level is not None and not solid_level > 0.0:
         raise ValueError(f"an int16 bank needs a positive level, not {solid_level!r}")
@@ -257,22 +221,9 @@ def build_bank(
     # sorted, so that a site finds its combination by bisection
     order = np.argsort(codes)
     return PatchBank(
-        n,
-        offset,
-        cutoff,
-        pieces.numbers,
-        piece,
-        codes[order].astype(np.int64),
-        patch[len(own) :][order],
-        low,
-        size,
-        first_row,
-        row_low,
-        row_blocks,
-        row_start,
-        data,
-        solid_level,
-    )
+        n, offset, cutoff, pieces.numbers, piece, codes[order].astype(np.int64), patch[len(own) :][order], low, size,
+        first_row, row_low, row_blocks, row_start, data, solid_level,
+    )  # fmt: skip
 
 
 @jit
@@ -367,21 +318,10 @@ class _Ends:
 def patches_at(
     bank: PatchBank, tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[np.int64]
 ) -> tuple[Sites, NDArray[np.int64], NDArray[np.int32]]:
-    """The patches at each site first <= site < stop.
+    """The sites that exist of first <= site < stop, and the patches at each.
 
-    Returns
-    -------
-    sites : Sites
-        The sites that exist.
-    begin : (number of sites + 1,) int64
-        The patches of site i, in order z, y, x, are ``patches[begin[i] : begin[i + 1]]``.
-    patches : (k,) int32
-        Numbers of patches.
-
-    Raises
-    ------
-    ValueError
-        If the bank was built for other combinations.
+    Those of site i, in order z, y, x, are ``patches[begin[i] : begin[i + 1]]``. Raises ValueError if the bank was built
+    for other combinations.
     """
     sites = sites_between(tiling, first, stop)
     numbers = site_pieces(bank.numbers, sites)

@@ -47,22 +47,9 @@ class _Near(NamedTuple):
 class SignSampler:
     """A tiling on one grid, solid where its sum of kernels lies below a level; lists of kernels are kept for a while.
 
-    Threads may ask for different layers at once.
-
-    Parameters
-    ----------
-    catalog : Catalog
-        Of the tile set.
-    tiling : TilingArrays
-        Which piece stands where.
-    grid : Grid
-        Cell sizes.
-    levels : Levels
-        Where the sum is cut; there are bounds for these and the grid.
-    steps : tuple of 3 ints
-        Those of the bounds.
-    spline : function of grid, start, stop
-        ln C in some layers of a grid, where the level is a function of place.
+    The grid is in cell sizes; there are bounds, with these `steps`, for it and the levels. `spline` of a grid, start,
+    stop is ln C in some layers of it, where the level is a function of place. Threads may ask for different layers at
+    once.
     """
 
     def __init__(

@@ -28,46 +28,24 @@ def spanning_subgraph(
 
     A tree can't have every degree >= 3, so the paper's degree-bounded tree (section "Reinforcement of Pore
     Connectivity") is read as the minimum-cost connected spanning subgraph with degrees in [A, B]; with A <= 1 this is
-    the degree-bounded spanning tree of M. Singh and L. C. Lau (J. ACM 62, 2015).
+    the degree-bounded spanning tree of M. Singh and L. C. Lau (J. ACM 62, 2015). See `feasible_degrees`, and
+    `clamped_degrees` for faces with few pores.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers; the unit is the cell size if an axis is periodic.
-    degree : (int, int)
-        Bounds A and B. See `feasible_degrees`, and `clamped_degrees` for faces with few pores.
-    mode : {"exact", "greedy"}
-        ``exact``: no shorter graph exists among the candidate edges (an integer program, solved to its end: by linear
-        programs and branching, or by HiGHS where that takes too long). Beyond `exact.PROVEN` pores this is not proven
-        where branching does not end: edges that the linear relaxation decides then stay, and the graph is up to 0.4 %
-        longer.
-        ``greedy``: a tree filled up and improved by exchange, a few percent longer, in milliseconds, without scipy.
-    periodic : bool, or 3 whole numbers
-        Whether the axes repeat with period 1, or after how many cells each does, 0 for never. Two pores may then
-        share tunnels to several images; a pore is never joined to its own image.
-    k : int
-        Candidate neighbors of each pore. The number grows by itself if the bounds can't be met with it.
-    two_edge_connected : bool
-        Whether every tunnel must lie on a loop, so that no single lost tunnel cuts the graph. Every degree then is at
-        least 2.
-    clearance : float, optional
-        Least distance between the axes of tunnels without a common pore.
-    metric : (n, 6) float64, optional
-        Metrics of the pores: a tunnel is measured, and neighbors are found, in the mean of the metrics of its ends.
+    The mode ``exact``: no shorter graph exists among the candidate edges (an integer program, solved to its end: by
+    linear programs and branching, or by HiGHS where that takes too long). Beyond `exact.PROVEN` pores this is not
+    proven where branching does not end: edges that the linear relaxation decides then stay, and the graph is up to 0.4
+    % longer. ``greedy``: a tree filled up and improved by exchange, a few percent longer, in milliseconds, without
+    scipy.
 
-    Returns
-    -------
-    edges : (m, 2) int64
-        Pairs i < j, sorted by (i, j, shift).
-    shifts : (m, 3) int64
-        The tunnel runs from ``points[i]`` to ``points[j] + shift``.
+    Axes are `periodic` with period 1, or after so many cells each, 0 for never. Two pores may then share tunnels to
+    several images; a pore is never joined to its own image. The number `k` of candidate neighbors grows by itself if
+    the bounds can't be met with it. With `two_edge_connected` every tunnel lies on a loop, so that no single lost
+    tunnel cuts the graph, and every degree is at least 2. `clearance` is the least distance between the axes of tunnels
+    without a common pore. With `metric` (n, 6) a tunnel is measured, and neighbors are found, in the mean of the
+    metrics of its ends.
 
-    Raises
-    ------
-    DesignError
-        If no graph has these degrees, or none was found that holds the clearance.
-    ValueError
-        If an argument is of the wrong shape or an unknown mode.
+    Returns pairs i < j (m, 2), sorted by (i, j, shift), and shifts (m, 3): the tunnel runs from ``points[i]`` to
+    ``points[j] + shift``. Raises DesignError if no graph has these degrees, or none was found that holds the clearance.
     """
     points = as_points(points)
     period = periods(periodic)
@@ -87,19 +65,10 @@ def spanning_subgraph(
     lower = max(lower, 2 if two_edge_connected else 1)
     # no distance is below 0: the search for close pairs can be skipped
     clearance = clearance or None
-    if mode == "greedy":
-        return greedy_subgraph(
-            points, lower, upper, period=period, k=k, loops=two_edge_connected, clearance=clearance, metric=metric
-        )
-    from sppm_pipeline.method.connecting.exact import exact_subgraph
-
-    return exact_subgraph(
-        points,
-        lower,
-        upper,
-        period=period,
-        k=k,
-        loops=two_edge_connected,
-        clearance=clearance,
-        metric=metric,
+    if mode == "exact":  # imported here: it takes scipy, which the greedy mode does without
+        from sppm_pipeline.method.connecting.exact import exact_subgraph as solved
+    else:
+        solved = greedy_subgraph
+    return solved(
+        points, lower, upper, period=period, k=k, loops=two_edge_connected, clearance=clearance, metric=metric
     )

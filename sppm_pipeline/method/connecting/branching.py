@@ -29,12 +29,8 @@ _PROGRAMS = 60
 def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack: float) -> NDArray[np.bool_] | None:
     """The shortest choice of edges (m,) bool, proven to be within `slack` of any other; None if that is not reached.
 
-    Rows that the search has found are left in the program: they hold for every solution.
-
-    Parameters
-    ----------
-    incumbent : (m,) bool, optional
-        A solution to start from.
+    Rows that the search has found are left in the program: they hold for every solution. `incumbent` (m,) is one to
+    start from.
     """
     if len(program.cost) * (len(program.rows().counts) + program.n) > _LARGEST:
         return None

@@ -18,30 +18,14 @@ from sppm_pipeline.services.jit.compiled import jit
 
 
 def bridging_edges(
-    points: NDArray[np.float64],
-    edges: Indices,
-    period: NDArray[np.float64],
-    skipped: NDArray[np.bool_] | None = None,
+    points: NDArray[np.float64], edges: Indices, period: NDArray[np.float64], skipped: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The shortest edges that join the components of a graph into one; none if it is connected.
+    """The shortest edges (b, 2), with shifts (b, 3), that join the components of a graph; none if it is connected.
 
     Each component but the largest is joined to the pore nearest to it that lies outside of it, then the components that
-    result, until one is left (O. Boruvka 1926). Every edge is the shortest that leaves some component, hence an edge
-    of the shortest graph that joins them. Of equally short ones the one with the lower pores is taken.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-    edges : (m, 2) int64 or int32
-    period : (3,) float64
-        Whole cells after which each axis repeats, 0 for never.
-    skipped : (n,) bool, optional
-        Pores that no edge may end in; at least one pore of each component must be left.
-
-    Returns
-    -------
-    edges, shifts : (b, 2), (b, 3) int64
-        From ``points[i]`` to ``points[j] + shift``.
+    result, until one is left (O. Boruvka 1926). Every edge is the shortest that leaves some component, hence an edge of
+    the shortest graph that joins them. Of equally short ones the one with the lower pores is taken. No edge may end in
+    pores `skipped`; at least one pore of each component must be left. `period` (3,) as in `trees.periods`.
     """
     labels = component_labels(len(points), edges)
     found_edges, found_shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]

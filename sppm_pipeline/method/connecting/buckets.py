@@ -16,30 +16,15 @@ from sppm_pipeline.services.jit.compiled import jit
 
 
 class Buckets(NamedTuple):
-    """Points sorted into a box of buckets; bucket (i, j, k) has the number (i ny + j) nz + k.
+    """Points sorted into a box of buckets; bucket (i, j, k) has the number (i ny + j) nz + k."""
 
-    Attributes
-    ----------
-    points : (n, 3) float64
-        Inside the cell along periodic axes.
-    order : (n,) int32
-        Points by bucket, and by index within it.
-    start : (buckets + 1,) int64
-        Where each bucket begins in `order`.
-    shape : (3,) int64
-    origin, width : (3,) float64
-        Lower corner of the grid, and the edges of a bucket.
-    period : (3,) float64
-        0 along axes that do not repeat.
-    """
-
-    points: NDArray[np.float64]
-    order: NDArray[np.int32]
-    start: NDArray[np.int64]
+    points: NDArray[np.float64]  # (n, 3), inside the cell along periodic axes
+    order: NDArray[np.int32]  # (n,) points by bucket, and by index within it
+    start: NDArray[np.int64]  # (buckets + 1,) where each bucket begins in `order`
     shape: NDArray[np.int64]
-    origin: NDArray[np.float64]
-    width: NDArray[np.float64]
-    period: NDArray[np.float64]
+    origin: NDArray[np.float64]  # (3,) lower corner of the grid
+    width: NDArray[np.float64]  # (3,) edges of a bucket
+    period: NDArray[np.float64]  # (3,), 0 along axes that do not repeat
 
 
 def sorted_into_buckets(points: NDArray[np.float64], period: NDArray[np.float64]) -> Buckets:

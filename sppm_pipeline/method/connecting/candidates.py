@@ -32,29 +32,14 @@ def candidate_graph(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Edges from each pore to its k nearest neighbors, in both senses, plus the shortest edges that connect them.
 
-    On periodic axes every image of a pore counts as a neighbor of its own, as long as the edge is not
-    longer than the period of that axis; so two pores may be joined several times when there are few of them. A pore
-    is never joined to an image of itself. Equally near neighbors are taken by index, then by shift. If the graph
-    falls apart, its components are joined as in Boruvka's algorithm, twice: the second time by edges that avoid the
-    ends of the first, so that a bounded degree or a second path is not ruled out.
+    On periodic axes every image of a pore counts as a neighbor of its own, as long as the edge is not longer than the
+    period of that axis; so two pores may be joined several times when there are few of them. A pore is never joined to
+    an image of itself. Equally near neighbors are taken by index, then by shift. If the graph falls apart, its
+    components are joined as in Boruvka's algorithm, twice: the second time by edges that avoid the ends of the first,
+    so that a bounded degree or a second path is not ruled out.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers; the unit is the cell size if an axis is periodic.
-    k : int
-        Neighbors of each pore.
-    periodic : bool, or 3 whole numbers
-        Whether the axes repeat with period 1, or after how many cells each does.
-    metric : (n, 6) float64, optional
-        Metrics of the pores, in the mean of which distances are measured; only on axes that do not repeat.
-
-    Returns
-    -------
-    edges : (m, 2) int64
-        Pairs i < j, sorted by (i, j, shift).
-    shifts : (m, 3) int64
-        The edge runs from ``points[i]`` to ``points[j] + shift``.
+    Distances are measured in the mean of the metrics (n, 6) of the pores, if given; only on axes that do not repeat.
+    Returns edges and shifts as `spanning_subgraph` does.
     """
     points = as_points(points)
     if k < 1:

@@ -18,28 +18,11 @@ def close_pairs(
     *,
     periodic: Periodic = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Pairs of tunnels without a common end whose axes come closer than `clearance`.
+    """Pairs of tunnels without a common end whose axes come closer than `clearance`, and their least distances (c,).
 
     Tunnels that share a pore are exempt: they meet there by intent. On periodic axes every image of the second tunnel
     counts, and a pore is shared only if it is the same image; so a tunnel may come too close to an image of itself.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers.
-    edges, shifts : (m, 2), (m, 3) int64
-        Tunnels from ``points[i]`` to ``points[j] + shift``.
-    clearance : float
-        Distance of the axes, in the unit of the points.
-    periodic : bool, or 3 whole numbers
-        Whether the axes repeat with period 1, or after how many cells each does.
-
-    Returns
-    -------
-    pairs : (c, 2) int64
-        Indices a <= b of tunnels, sorted; a == b for a tunnel too close to its own image.
-    distances : (c,) float64
-        The least distance of each pair.
+    Pairs (c, 2) are indices a <= b, sorted; a == b for a tunnel too close to its own image.
     """
     period = periods(periodic)
     inside, cells = wrapped(points, period)
@@ -170,31 +153,13 @@ def _share_end(edges: NDArray[np.int64], turns: NDArray[np.int64], e: int, f: in
 
 
 def nearest_connectors(face_points: ArrayLike, interior_points: ArrayLike, *, clearance: float) -> NDArray[np.int64]:
-    """The interior pore that each face pore is joined to: the nearest, or the second nearest if that is free.
+    """The interior pore that each face pore is joined to, (f,): the nearest, or the second nearest if that is free.
 
     Face pores are served in their order. The second nearest interior pore is taken if the tunnel to the nearest would
-    come closer than `clearance` to a connector chosen before, and the tunnel to the second would not; if both are too
-    close, it stays the nearest. Connectors that end in the same interior pore meet there and never count as close.
-    Of equally near pores the one with the lower index is nearer.
-
-    Parameters
-    ----------
-    face_points : (f, 3) float64
-        Pores on the face.
-    interior_points : (n, 3) float64
-        Pores of the interior, in the same frame.
-    clearance : float
-        Least distance of the tunnels' axes, usually twice the tunnel radius; 0 always takes the nearest.
-
-    Returns
-    -------
-    (f,) int64
-        Index into `interior_points` for each face pore.
-
-    Raises
-    ------
-    DesignError
-        If there are face pores but no interior pore.
+    come closer than `clearance` (usually twice the tunnel radius; 0 always takes the nearest) to a connector chosen
+    before, and the tunnel to the second would not; if both are too close, it stays the nearest. Connectors that end in
+    the same interior pore meet there and never count as close. Of equally near pores the one with the lower index is
+    nearer. Raises DesignError if there are face pores but no interior pore.
     """
     face, interior = as_points(face_points), as_points(interior_points)
     if len(face) and not len(interior):

@@ -9,23 +9,10 @@ from sppm_pipeline.errors import DesignError
 
 
 def feasible_degrees(n: int, lower: int, upper: int, *, images: int = 1, two_edge_connected: bool = False) -> None:
-    """Check that a connected graph on n pores with all degrees in [lower, upper] exists.
+    """Raise DesignError unless a connected graph on n pores with all degrees in [lower, upper] exists.
 
-    Parameters
-    ----------
-    n : int
-        Number of pores.
-    lower, upper : int
-        Bounds A and B of the degree.
-    images : int
-        Tunnels that two pores may share: 1, or `images_per_pair` on periodic axes.
-    two_edge_connected : bool
-        Whether every tunnel must lie on a loop; the lower bound then is at least 2.
-
-    Raises
-    ------
-    DesignError
-        If there is no such graph; the message names n and what is allowed.
+    Two pores may share `images` tunnels: 1, or `images_per_pair` on periodic axes. If every tunnel must lie on a loop,
+    the lower bound is at least 2.
     """
     if n < 1:
         raise DesignError(f"{n} pores can't be connected", hint="at least 1 pore is needed")
@@ -60,17 +47,10 @@ def feasible_degrees(n: int, lower: int, upper: int, *, images: int = 1, two_edg
 
 
 def clamped_degrees(n: int, lower: int, upper: int, *, images: int = 1) -> tuple[int, int, bool]:
-    """Degree bounds relaxed to what n pores allow, for faces that hold only a few pores.
+    """Degree bounds relaxed to what n pores allow, for faces that hold only a few pores, and whether they differ.
 
-    The lower bound becomes min(lower, images * (n - 1)); the upper bound is raised by one where equal bounds would
-    need an odd number of tunnel ends.
-
-    Returns
-    -------
-    lower, upper : int
-        The bounds to use.
-    relaxed : bool
-        Whether they differ from those given, so that the caller can report it.
+    The lower bound becomes min(lower, images * (n - 1)); the upper bound is raised by one where equal bounds would need
+    an odd number of tunnel ends.
     """
     low = min(lower, images * max(n - 1, 0))
     high = upper + 1 if low == upper and n * low % 2 else upper

@@ -27,12 +27,7 @@ _PROVEN = 1e-7
 class DualSimplex:
     """Minimize ``cost @ x`` for ``lower <= x <= upper`` and ``low <= rows @ x <= high``, with costs of at least 0.
 
-    Attributes
-    ----------
-    cost, lower, upper : (m,) float64
-    rows : (r, m) float64
-    low, high : (r,) float64
-        Infinite where there is no bound.
+    `cost`, `lower` and `upper` are (m,), `rows` (r, m), `low` and `high` (r,), infinite where there is no bound.
     """
 
     def __init__(self, cost: NDArray[np.float64], upper: NDArray[np.float64]) -> None:

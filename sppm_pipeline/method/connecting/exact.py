@@ -46,12 +46,8 @@ def exact_subgraph(
     """Shortest connected spanning subgraph of the candidate graph, proven up to `PROVEN` pores.
 
     The edges of the greedy graph are candidates too, so that there is a solution. Only a clearance may leave none: then
-    k is doubled once, because to prove that there is none takes the longer the more candidates there are.
-
-    Raises
-    ------
-    DesignError
-        If no graph with this clearance exists on the widest candidate graph, or the solver gives up.
+    k is doubled once, because to prove that there is none takes the longer the more candidates there are. Raises
+    DesignError if no graph with this clearance exists on the widest candidate graph, or the solver gives up.
     """
     if lower <= 1 and clearance is None and not loops and metric is None:
         # the shortest connected graph is the minimum spanning tree, unless the upper bound forbids it
@@ -78,18 +74,9 @@ def exact_subgraph(
             incumbent = np.zeros(len(edges), np.bool_)
             incumbent[positions] = True
         program = Program(
-            points,
-            edges,
-            shifts,
-            lower,
-            upper,
-            tree=lower <= 1 and not loops,
-            connected=np.zeros(n, np.int64),
-            loops=loops,
-            period=period,
-            clearance=clearance,
-            metric=metric,
-        )
+            points, edges, shifts, lower, upper, tree=lower <= 1 and not loops, connected=np.zeros(n, np.int64),
+            loops=loops, period=period, clearance=clearance, metric=metric,
+        )  # fmt: skip
         # the greedy solution bounds the search from the start, and guarantees that there is one
         chosen = _solution(program, incumbent)
         if chosen is not None:
@@ -118,15 +105,9 @@ def exactly_improved(
     incumbent = np.zeros(len(both), np.bool_)
     incumbent[chosen] = True
     program = Program(
-        points,
-        both,
-        np.zeros((len(both), 3), np.int64),
-        lower,
-        upper,
-        tree=tree,
-        connected=component_labels(len(points), edges),
-        metric=metric,
-    )
+        points, both, np.zeros((len(both), 3), np.int64), lower, upper, tree=tree,
+        connected=component_labels(len(points), edges), metric=metric,
+    )  # fmt: skip
     found = _solution(program, incumbent)
     return edges if found is None else both[found]
 

@@ -22,8 +22,9 @@ from sppm_pipeline.method.connecting.moves import (
     insert,
     joined,
 )
-from sppm_pipeline.method.connecting.trees import find_root, mark_bridges
+from sppm_pipeline.method.connecting.trees import mark_bridges
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import find_root
 
 
 @jit
@@ -113,11 +114,7 @@ def lower_degrees(
 
 @jit
 def _raise_degree(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-    u: int,
+    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64], u: int
 ) -> bool:
     """One more edge at u along the cheapest trail: in; in, out; or in, out, in."""
     none = int(np.int64(-1))
@@ -257,10 +254,7 @@ def _shorter(
 
 @jit
 def make_loops(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
+    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
 ) -> bool:
     """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
 

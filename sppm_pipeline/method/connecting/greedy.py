@@ -34,12 +34,8 @@ def greedy_subgraph(
 
     Clearance is not looked at while the graph is built; the exchange then takes out the tunnels that are too close. If
     the k-nearest graph is too sparse for the bounds or the clearance, k is doubled; at last the search starts from
-    Harary's ring graph along the minimum spanning tree, which always satisfies the bounds.
-
-    Raises
-    ------
-    DesignError
-        If no graph with this clearance was found.
+    Harary's ring graph along the minimum spanning tree, which always satisfies the bounds. Raises DesignError if no
+    graph with this clearance was found.
     """
     n = len(points)
     most = all_images(n, period)
@@ -110,10 +106,7 @@ def _conflicts(
 
 
 def merged_edges(
-    edges: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-    more_edges: NDArray[np.int64],
-    more_shifts: NDArray[np.int64],
+    edges: NDArray[np.int64], shifts: NDArray[np.int64], more_edges: NDArray[np.int64], more_shifts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """The union of two sets of edges in canonical order, and the positions of the second set in it."""
     edges, shifts = canonical_edges(np.concatenate([edges, more_edges]), np.concatenate([shifts, more_shifts]))

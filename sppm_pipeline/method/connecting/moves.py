@@ -34,14 +34,7 @@ def edge_table(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """The table ``edge`` with no edge chosen, ``conflict``, ``near``, and the edges by rising length, (m,).
 
-    Parameters
-    ----------
-    edges : (m, 2) int64
-        Vertices of each edge.
-    length : (m,) float64
-        Cost of each edge.
-    conflicts : (c, 2) int64
-        Pairs of edges that exclude each other; a pair (e, e) excludes e.
+    `conflicts` (c, 2) are pairs of edges that exclude each other; a pair (e, e) excludes e.
     """
     # stable: of equally long edges the first one comes first, on every machine
     order = np.argsort(length, kind="stable")

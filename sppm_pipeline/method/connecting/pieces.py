@@ -41,31 +41,12 @@ def greedy_pieces(
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]]:
     """The graphs of `greedy_subgraph` for many pieces that do not repeat, without clearance or loops.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pores of all pieces.
-    order : (n,) int64
-        Pores by piece.
-    first : (number of pieces + 1,) int64
-        Where each piece begins in `order`.
-    pieces : (p,) int64
-        The pieces to be joined, each of 2 pores or more.
-    degrees : (p, 2) int64
-        What `piece_degrees` says of each.
-    k : int
-        Candidate neighbors of each pore.
-    threads : int
-        Number of threads; the result does not depend on it.
+    `order` (n,) are the pores by piece, where each begins at `first` (number of pieces + 1,); `pieces` (p,) those to be
+    joined, of 2 pores or more, and `degrees` (p, 2) what `piece_degrees` says of each. The result does not depend on
+    the threads.
 
-    Yields
-    ------
-    pieces : (q,) int64
-        The next of the pieces.
-    edges : (m, 2) int32
-        Rows of `points`, piece after piece; in each pairs in the order of `order`, sorted.
-    counts : (q,) int64
-        Edges of each piece; -1 for one that is left to `greedy_subgraph`.
+    Yields the next of the pieces (q,); edges (m, 2), rows of `points`, piece after piece, in each pairs in the order of
+    `order`, sorted; and how many each has (q,), -1 for one that is left to `greedy_subgraph`.
     """
 
     # in one array, as thousands of small ones would leave the memory in shreds; what is not written takes none
@@ -86,16 +67,8 @@ def greedy_pieces(
 def piece_degrees(sizes: NDArray[np.int64], interiors: int, degree: tuple[int, int]) -> NDArray[np.int64]:
     """Bounds of the degrees in each piece, (p, 2); 0, 0 for one that is left to `greedy_subgraph`.
 
-    Those are the pieces of more than `LARGEST` pores, and those in which no graph has these degrees.
-
-    Parameters
-    ----------
-    sizes : (p,) int64
-        Pores of each piece, the interiors first.
-    interiors : int
-        How many of them are interiors; the others are faces, for which the bounds are relaxed by `clamped_degrees`.
-    degree : (int, int)
-        Bounds A and B.
+    Those are the pieces of more than `LARGEST` pores, and those in which no graph has these degrees. `sizes` (p,) are
+    the pores of each piece, `interiors` first; the others are faces, with bounds relaxed by `clamped_degrees`.
     """
     degrees = np.zeros((len(sizes), 2), np.int64)
     for on_face, part in ((False, slice(interiors)), (True, slice(interiors, None))):
@@ -271,25 +244,10 @@ def nearest_in_interiors(
 ) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
     """For every face pore, on every side where it meets an interior, the nearest pore of that interior.
 
-    Parameters
-    ----------
-    points : (n, 3) float64, cell sizes
-    order : (n,) int64
-        Pores by piece.
-    first : (pieces + 1,) int64
-        Where each piece begins in `order`.
-    meetings : (p, 4) int64
-        Rows (interior, axis, side, color), as in `Palette`.
-    faces : (p,) int64
-        The piece of the face pattern of each.
-
-    Returns
-    -------
-    edges : (m, 2) int32
-        Interior pore and face pore; of equally near ones the first in `order`. None where an interior or a face has no
-        pores.
-    shifts : (m, 3) int8
-        Whole cells by which the face pore is moved.
+    `order` (n,) are the pores by piece, where each begins at `first` (pieces + 1,). `meetings` (p, 4) are rows
+    (interior, axis, side, color) as in `Palette`, and `faces` (p,) the piece of the face pattern of each. Returns edges
+    (m, 2) from interior pore to face pore, the first in `order` of equally near ones, none where an interior or a face
+    has no pores; and whole cells (m, 3) by which the face pore is moved.
     """
     there = first[meetings[:, 0] + 1] > first[meetings[:, 0]]
     number = int(((first[faces + 1] - first[faces]) * there).sum())

@@ -15,22 +15,12 @@ _CLUSTER = 60
 
 
 class Rows(NamedTuple):
-    """Rows ``low <= sum of x over some edges <= high``.
+    """Rows ``low <= sum of x over some edges <= high``."""
 
-    Attributes
-    ----------
-    columns : (c,) int64
-        The edges of the first row, then those of the second, and so on.
-    counts : (r,) int64
-        How many edges each row has.
-    low, high : (r,) float64
-        Infinite where there is no bound.
-    """
-
-    columns: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    columns: NDArray[np.int64]  # (c,) edges of the first row, then those of the second, and so on
+    counts: NDArray[np.int64]  # (r,) edges of each row
+    low: NDArray[np.float64]  # (r,), infinite where there is no bound
+    high: NDArray[np.float64]  # (r,), likewise
 
 
 class Program:

@@ -65,50 +65,26 @@ Ends = tuple[NDArray[np.int32], NDArray[np.int64]]
 
 
 class Region(NamedTuple):
-    """The pores of a region, the edges among them, and those that stay.
+    """The pores of a region, the edges among them, and those that stay."""
 
-    Attributes
-    ----------
-    points : (n, 3) float64
-        In one piece: images of the pores where the region lies across a periodic border.
-    edges : (m, 2) int64
-        Pairs i < j among them.
-    fixed : (f, 2) int64
-        Edges that lead out of the region, and those among the pores around it, which have numbers from n on.
-    lower, upper : (n,) int64
-        Bounds of the degrees, less the edges that are not listed here.
-    waiting : (n,) bool
-        Where shorter edges are looked for first.
-    metric : (n, 6) float64 or None
-        Metrics of the pores.
-    """
-
+    # (n, 3) in one piece: images of the pores where the region lies across a periodic border
     points: NDArray[np.float64]
-    edges: NDArray[np.int64]
+    edges: NDArray[np.int64]  # (m, 2) pairs i < j among them
+    # (f, 2) edges that lead out, and those among the pores around it, which have numbers from n on
     fixed: NDArray[np.int64]
-    lower: NDArray[np.int64]
-    upper: NDArray[np.int64]
-    waiting: NDArray[np.bool_]
-    metric: NDArray[np.float64] | None = None
+    lower: NDArray[np.int64]  # (n,) bounds of the degrees, less the edges that are not listed here
+    upper: NDArray[np.int64]  # (n,), likewise
+    waiting: NDArray[np.bool_]  # (n,) where shorter edges are looked for first
+    metric: NDArray[np.float64] | None = None  # (n, 6)
 
 
 class Cut(NamedTuple):
-    """Division of the box into regions of equal size.
+    """Division of the box into regions of equal size."""
 
-    Attributes
-    ----------
-    origin, edge : (3,) float64
-        Of the lattice of regions.
-    regions : (3,) int64
-        Regions along each axis before they are moved.
-    offset : float
-        Fraction of an edge by which they are moved.
-    """
-
-    origin: NDArray[np.float64]
-    edge: NDArray[np.float64]
-    regions: NDArray[np.int64]
-    offset: float
+    origin: NDArray[np.float64]  # (3,) of the lattice of regions
+    edge: NDArray[np.float64]  # (3,)
+    regions: NDArray[np.int64]  # (3,) along each axis before they are moved
+    offset: float  # fraction of an edge by which they are moved
 
     def shape(self, period: NDArray[np.float64]) -> NDArray[np.int64]:
         """Regions along each axis; where nothing repeats, moved ones are one more."""
@@ -163,39 +139,11 @@ def regional_subgraph(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Short connected graph on any number of pores with all degrees in [A, B], the same for any number of threads.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers.
-    period : (3,) float64
-        Whole cells after which each axis repeats, 0 for never.
-    degree : (int, int)
-        Bounds A and B.
-    spacing : float
-        Mean distance of pores, which sizes regions and searches.
-    mode : {"exact", "greedy"}
-        How a region is made shorter: see `bounded.spanning_subgraph`. The exact mode starts
-        from what greedy has found.
-    k : int
-        Candidate neighbors of each pore.
-    threads : int
-        Regions that are worked on at a time.
-    progress : callable
-        Called with the number of regions done, and of all.
-    metric : (n, 6) float64, optional
-        Metrics of the pores, where no axis repeats: tunnels are measured in the mean of the metrics of their ends.
-
-    Returns
-    -------
-    edges : (m, 2) int32
-        Pairs i < j, sorted by (i, j, shift).
-    shifts : (m, 3) int32
-        The tunnel runs from ``points[i]`` to ``points[j] + shift``.
-
-    Raises
-    ------
-    DesignError
-        If some pores can't be brought into the bounds.
+    `period` (3,) as in `trees.periods`; `spacing` is the mean distance of pores, which sizes regions and searches. How
+    a region is made shorter says the mode of `bounded.spanning_subgraph`; exact starts from what greedy has found.
+    `progress` is called with the number of regions done, and of all. A `metric` (n, 6), where no axis repeats, measures
+    tunnels by the mean of the metrics of their ends. Returns edges and shifts as `spanning_subgraph` does; raises
+    DesignError if some pores can't be brought into the bounds.
     """
     lower, upper = degree
     n = len(points)

@@ -35,32 +35,16 @@ _NEAREST = 8
 def relative_neighbors(
     points: NDArray[np.float64], period: NDArray[np.float64], *, reach: float = np.inf, threads: int = 1
 ) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
-    """Edges of the relative neighborhood graph, of those that are at most `reach` long.
+    """Edges (m, 2) of the relative neighborhood graph that are at most `reach` long, pairs i < j by i, and their turns.
 
+    Turns (m, 3) are the periods by which the image of j is moved, after both were moved into [0, period): -1, 0 or 1.
     Of pores that are equally far from each other none is nearer, so that a regular lattice keeps all edges between
     neighbors. A pore is never joined to an image of itself.
 
-    All pores in a ball are looked at, and the ball grows until they hide whatever may lie beyond it: pore c at the
-    distance d hides all places beyond the radius r in directions less than arccos(d / 2r) away from its own. Beyond the
-    border of the set there is nothing to be hidden.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers.
-    period : (3,) float64
-        Whole cells after which each axis repeats, 0 for never.
-    reach : float
-        The ball grows no further. Without it a pore at the border of a hollow set looks through the whole hollow.
-    threads : int
-        Changes nothing but the time.
-
-    Returns
-    -------
-    edges : (m, 2) int32
-        Pairs i < j, by i.
-    turns : (m, 3) int8
-        Periods by which the image of j is moved, after both were moved into [0, period): -1, 0 or 1.
+    All pores in a ball are looked at, and the ball grows, up to `reach`, until they hide whatever may lie beyond it:
+    pore c at the distance d hides all places beyond the radius r in directions less than arccos(d / 2r) away from its
+    own. Beyond the border of the set there is nothing to be hidden: a pore there would look through the whole of a
+    hollow set without a reach.
     """
     if len(points) < 2:
         return np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int8)
@@ -274,13 +258,7 @@ def _all_hidden(
 
 @jit
 def _add_pore(
-    hiders: NDArray[np.float64],
-    most: int,
-    ball: NDArray[np.float64],
-    c: int,
-    radius: float,
-    cosine: float,
-    sine: float,
+    hiders: NDArray[np.float64], most: int, ball: NDArray[np.float64], c: int, radius: float, cosine: float, sine: float
 ) -> int:
     """Note what entry c of the ball hides; returns the new number of hiders."""
     distance = np.sqrt(ball[c, 3])

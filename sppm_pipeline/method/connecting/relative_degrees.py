@@ -28,18 +28,10 @@ _NEAREST, _MAX_NEAREST = 10, 40
 
 
 class Network(NamedTuple):
-    """Tunnels between pores that were moved into the periodic box.
+    """Tunnels between pores that were moved into the periodic box."""
 
-    Attributes
-    ----------
-    edges : (m, 2) int32
-        Pairs i < j.
-    turns : (m, 3) int8
-        Periods by which the image of j is moved.
-    """
-
-    edges: NDArray[np.int32]
-    turns: NDArray[np.int8]
+    edges: NDArray[np.int32]  # (m, 2) pairs i < j
+    turns: NDArray[np.int8]  # (m, 3) periods by which the image of j is moved
 
 
 def relative_neighbor_graph(
@@ -52,32 +44,9 @@ def relative_neighbor_graph(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
     """Connected graph of relative neighbors with degrees raised to A, and cut to B where a loop allows it.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers.
-    period : (3,) float64
-        Whole cells after which each axis repeats, 0 for never.
-    degree : (int, int)
-        Bounds A and B; see `degrees.feasible_degrees`.
-    reach : float
-        Longer edges are made only where the graph would fall apart; `REACH` mean distances leave none out.
-    threads : int
-        Changes nothing but the time.
-
-    Returns
-    -------
-    edges : (m, 2) int32
-        Pairs i < j, sorted by (i, j, shift).
-    shifts : (m, 3) int32
-        The tunnel runs from ``points[i]`` to ``points[j] + shift``.
-    over : int
-        Pores with more than B tunnels.
-
-    Raises
-    ------
-    DesignError
-        If a pore with too few tunnels finds no pore with room near by.
+    Edges longer than `reach` are made only where the graph would fall apart; `REACH` mean distances leave none out.
+    Returns edges and shifts as `spanning_subgraph` does, and the number of pores with more than B tunnels; raises
+    DesignError if a pore with too few tunnels finds no pore with room near by.
     """
     network = connected_neighbors(points, period, reach=reach, threads=threads)
     network, over = cut_degrees(points, period, network, *degree)
@@ -152,10 +121,7 @@ def raise_degrees(
 ) -> Network:
     """The network with the shortest edges from pores that have fewer than `lower` to pores near by that have room.
 
-    Raises
-    ------
-    DesignError
-        If there are no more such pores.
+    Raises DesignError if there are no more such pores.
     """
     n = len(points)
     inside, _ = wrapped(points, period)

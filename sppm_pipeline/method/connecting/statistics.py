@@ -16,69 +16,34 @@ from sppm_pipeline.services.jit.compiled import jit
 
 
 class GraphStatistics(NamedTuple):
-    """Figures of a tunnel graph.
+    """Figures of a tunnel graph; lengths are in the unit of the points, NaN without a tunnel."""
 
-    Attributes
-    ----------
-    pores, tunnels : int
-        Numbers n and m of vertices and edges.
-    degree_histogram : (highest degree + 1,) int64
-        Number of pores with 0, 1, 2, ... tunnels.
-    mean_degree : float
-        2 m / n.
-    components : int
-        Connected parts; a pore without a tunnel is one.
-    loops : int
-        Independent loops, m - n + components.
-    bridges : int
-        Tunnels on no loop.
-    mean_length, min_length, max_length : float
-        Lengths of the tunnels in the unit of the points; NaN without a tunnel.
-    wraps : tuple of 3 bools
-        Along which axes the graph runs through the periodic cell into its own image.
-    """
-
-    pores: int
-    tunnels: int
-    degree_histogram: NDArray[np.int64]
-    mean_degree: float
-    components: int
-    loops: int
-    bridges: int
+    pores: int  # n
+    tunnels: int  # m
+    degree_histogram: NDArray[np.int64]  # (highest degree + 1,) number of pores with 0, 1, 2, ... tunnels
+    mean_degree: float  # 2 m / n
+    components: int  # connected parts; a pore without a tunnel is one
+    loops: int  # independent loops, m - n + components
+    bridges: int  # tunnels on no loop
     mean_length: float
     min_length: float
     max_length: float
-    wraps: tuple[bool, bool, bool]
+    wraps: tuple[bool, bool, bool]  # axes along which the graph runs through the periodic cell into its own image
 
 
 def graph_statistics(points: ArrayLike, edges: Indices, shifts: Indices) -> GraphStatistics:
-    """Figures of the graph with the tunnels ``points[i]`` to ``points[j] + shift``; parallel tunnels count each.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers.
-    edges, shifts : (m, 2), (m, 3) int64
-        Tunnels.
-    """
+    """Figures of the graph with the tunnels ``points[i]`` to ``points[j] + shift``; parallel tunnels count each."""
     points = as_points(points)
     edges = np.ascontiguousarray(edges, dtype=np.int64)
     n, m = len(points), len(edges)
     lengths = edge_lengths(points, edges, shifts) if m else np.array([np.nan])
     components = int(component_labels(n, edges).max(initial=-1)) + 1
     return GraphStatistics(
-        pores=n,
-        tunnels=m,
-        degree_histogram=np.bincount(np.bincount(edges.ravel(), minlength=n)).astype(np.int64),
-        mean_degree=2.0 * m / n if n else 0.0,
-        components=components,
-        loops=m - n + components,
-        bridges=int(bridge_mask(n, edges).sum()),
-        mean_length=float(lengths.mean()),
-        min_length=float(lengths.min()),
-        max_length=float(lengths.max()),
-        wraps=wraps(n, edges, shifts),
-    )
+        pores=n, tunnels=m, degree_histogram=np.bincount(np.bincount(edges.ravel(), minlength=n)).astype(np.int64),
+        mean_degree=2.0 * m / n if n else 0.0, components=components, loops=m - n + components,
+        bridges=int(bridge_mask(n, edges).sum()), mean_length=float(lengths.mean()), min_length=float(lengths.min()),
+        max_length=float(lengths.max()), wraps=wraps(n, edges, shifts),
+    )  # fmt: skip
 
 
 def wraps(n: int, edges: Indices, shifts: Indices) -> tuple[bool, bool, bool]:
@@ -126,30 +91,12 @@ def _wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> NDArr
     return found
 
 
-def networkx_graph(
-    points: ArrayLike,
-    edges: Indices,
-    shifts: Indices,
-    regions: Sequence[str] | None = None,
-) -> Any:
+def networkx_graph(points: ArrayLike, edges: Indices, shifts: Indices, regions: Sequence[str] | None = None) -> Any:
     """The tunnel graph as a `networkx.MultiGraph`: two pores may share tunnels to several images.
 
-    Every attribute is a plain number or string, so that GraphML and JSON can hold it.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers: node attributes ``x``, ``y``, ``z``.
-    edges, shifts : (m, 2), (m, 3) int64
-        Tunnels from ``points[i]`` to ``points[j] + shift``: edge attributes ``length`` and ``shift``, the latter as
-        three integers in a string ("0 0 -1"). In the graph each leads from the lower to the higher pore.
-    regions : n strings, optional
-        Node attribute ``region``, for example "face" or "interior".
-
-    Raises
-    ------
-    ValueError
-        If `regions` has another length than `points`.
+    Every attribute is a plain number or string, so that GraphML and JSON can hold it: of nodes ``x``, ``y``, ``z`` and,
+    with `regions` (n strings, say "face" or "interior"), ``region``; of edges ``length`` and ``shift``, three integers
+    in a string ("0 0 -1"). Each edge leads from the lower to the higher pore.
     """
     import networkx
 

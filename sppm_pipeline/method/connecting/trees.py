@@ -13,16 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import lengths_in
+from sppm_pipeline.services.union_find import find_root, unite
 
 
 def as_points(points: ArrayLike) -> NDArray[np.float64]:
-    """The points as a C-contiguous (n, 3) float64 array.
-
-    Raises
-    ------
-    ValueError
-        If the shape is not (n, 3) or a coordinate is not finite.
-    """
+    """The points as a C-contiguous (n, 3) float64 array; ValueError for another shape or infinite coordinates."""
     array = np.ascontiguousarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"points must have the shape (n, 3), not {array.shape}")
@@ -39,13 +34,7 @@ Periodic = bool | Sequence[float]
 
 
 def periods(periodic: Periodic) -> NDArray[np.float64]:
-    """Whole cells after which x, y, z repeat, (3,) float64, 0 for never.
-
-    Raises
-    ------
-    ValueError
-        If a period is no whole number.
-    """
+    """Whole cells after which x, y, z repeat, (3,) float64, 0 for never; ValueError if one is no whole number."""
     period = np.asarray(periodic, dtype=np.float64)
     if period.shape not in ((), (3,)) or (period < 0).any() or (period != np.rint(period)).any():
         raise ValueError("periodic must be one flag, three, or three whole numbers of cells")
@@ -116,22 +105,9 @@ def minimum_spanning_tree(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The exact Euclidean minimum spanning tree, with every pore at its nearest image on the periodic axes.
 
-    Prim's algorithm over all pairs, O(n^2) time and O(n) memory: a nearest-neighbor graph may miss an edge of the
-    tree, all pairs can't. Of equally short edges the one to the lower index is taken.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pore centers; the unit is the cell size if an axis is periodic.
-    periodic : bool, or 3 whole numbers
-        Whether the axes repeat with period 1, or after how many cells each does.
-
-    Returns
-    -------
-    edges : (n - 1, 2) int64
-        Pairs i < j, sorted.
-    shifts : (n - 1, 3) int64
-        The edge runs from ``points[i]`` to ``points[j] + shift``.
+    Prim's algorithm over all pairs, O(n^2) time and O(n) memory: a nearest-neighbor graph may miss an edge of the tree,
+    all pairs can't. Of equally short edges the one to the lower index is taken. Returns sorted pairs i < j (n - 1, 2)
+    and shifts (n - 1, 3): the edge runs from ``points[i]`` to ``points[j] + shift``.
     """
     points = as_points(points)
     period = periods(periodic)
@@ -194,15 +170,6 @@ def _prim(inside: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[n
 
 
 @jit
-def find_root(parent: NDArray[np.int64], i: int) -> int:
-    """Root of i in a union-find forest; halves the path on its way."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@jit
 def kruskal(n: int, edges: Indices, order: NDArray[np.int64]) -> NDArray[np.int64]:
     """Indices of the edges that join two components when the edges are taken in the given order, in that order."""
     parent = np.arange(n)
@@ -223,10 +190,7 @@ def component_labels(n: int, edges: Indices) -> NDArray[np.int64]:
     """Component of every vertex, (n,) int64, numbered 0, 1, ... in the order of their lowest vertex."""
     parent = np.arange(n)
     for e in range(edges.shape[0]):
-        a = find_root(parent, edges[e, 0])
-        b = find_root(parent, edges[e, 1])
-        if a != b:
-            parent[max(a, b)] = min(a, b)
+        unite(parent, edges[e, 0], edges[e, 1])
     labels = np.empty(n, np.int64)
     count = 0
     for i in range(n):

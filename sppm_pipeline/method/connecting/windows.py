@@ -14,42 +14,20 @@ from numpy.typing import NDArray
 
 
 class Lattice(NamedTuple):
-    """Pores sorted by the blocks of a lattice.
+    """Pores sorted by the blocks of a lattice; block (x, y, z) fills [x, x + 1] x [y, y + 1] x [z, z + 1]."""
 
-    Attributes
-    ----------
-    points : (n, 3) float64
-        The unit is the edge of a block; block (x, y, z) fills [x, x + 1] x [y, y + 1] x [z, z + 1].
-    first : (blocks + 1,) int64
-        Where the pores of each block begin.
-    shape : 3 ints
-        Blocks along x, y and z.
-    period : (3,) float64
-        `shape` along axes that repeat, else 0.
-    """
-
-    points: NDArray[np.float64]
-    first: NDArray[np.int64]
-    shape: tuple[int, int, int]
-    period: NDArray[np.float64]
+    points: NDArray[np.float64]  # (n, 3) in edges of a block
+    first: NDArray[np.int64]  # (blocks + 1,) where the pores of each block begin
+    shape: tuple[int, int, int]  # blocks along x, y and z
+    period: NDArray[np.float64]  # (3,) `shape` along axes that repeat, else 0
 
 
 class Window(NamedTuple):
-    """Pores of a window and of its margin.
+    """Pores of a window and of its margin."""
 
-    Attributes
-    ----------
-    pores : (n,) int64
-        By block and index; a pore may occur several times, as different images.
-    turns : (n, 3) int64
-        Whole cells from each pore to its image here.
-    own : (n,) bool
-        Whether it lies in a block of the window, not in the margin.
-    """
-
-    pores: NDArray[np.int64]
-    turns: NDArray[np.int64]
-    own: NDArray[np.bool_]
+    pores: NDArray[np.int64]  # (n,) by block and index; a pore may occur several times, as different images
+    turns: NDArray[np.int64]  # (n, 3) whole cells from each pore to its image here
+    own: NDArray[np.bool_]  # (n,) in a block of the window, not in the margin
 
 
 def window_edge(spacing: float, most: int, margin: float) -> int:
@@ -96,17 +74,8 @@ def edges_of_window(
     """The edges among pores of a window with margin that belong to the window: those whose lower pore is its own.
 
     Windows that overlap by their margins thus report each edge once. Edges between images of one pore are dropped.
-
-    Parameters
-    ----------
-    found : Window
-    edges, shifts : (m, 2), (m, 3) int64
-        Between positions in ``found.pores``.
-
-    Returns
-    -------
-    edges, shifts : (e, 2), (e, 3) int64
-        Between pores i < j, from ``points[i]`` to ``points[j] + shift``.
+    Edges (m, 2) and shifts (m, 3) are between positions in ``found.pores``; the result is between pores i < j, from
+    ``points[i]`` to ``points[j] + shift``.
     """
     pores = found.pores[edges]
     # from the lower pore, so that both windows of an edge across a border name it alike

@@ -36,17 +36,12 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class CellCube(Cell):
-    """A cube of cells taken for one cell, as `Piece.periodic` asks for it: lengths become fractions of the whole cube.
-
-    Attributes
-    ----------
-    cells : int
-        Number of cells along its edge.
-    """
+    """A cube of `cells`^3 cells taken for one, as `Piece.periodic` asks: lengths become fractions of the whole cube."""
 
     cells: int = 1
 
     def fraction(self, length: Length) -> float:
+        # the unit is the edge of the whole cube
         return super().fraction(length) / self.cells
 
 

@@ -98,6 +98,7 @@ class Connector(Stage):
         )
 
         n, (size, *others) = len(cloud.points), cloud.lattice
+        # `Piece.periodic` means the unit cube: other lattices that repeat go by windows
         cubic = all(cloud.periodic) and others == [size, size]
         if n <= WINDOW_PORES and (cubic or not any(cloud.periodic)):
             # a periodic piece is a unit cube
@@ -113,6 +114,7 @@ class Connector(Stage):
             view = window(lattice, corners, margin)
             if view.own.any():
                 piece = Piece(cloud.points[view.pores] + view.turns, False, "interior", cloud.cell)
+                # a stream for each window: none depends on what the others have drawn
                 found.append(edges_of_window(view, *self._joined(context.rng(number), piece)))
             context.progress(number + 1, len(boxes), "windows joined")
         return found
@@ -209,6 +211,7 @@ class Connector(Stage):
             inside, outside = pores.indices(t), pores.indices(face)
             if len(inside) and len(outside):
                 shift = np.zeros(3, np.int64)
+                # patterns lie in the plane 0 of their axis; the face at 1 is the same one, a cell further
                 shift[axis] = side
                 nearest = self.connect(pores.centers[outside] + shift, pores.centers[inside], pores.cell)
                 edges.append(np.stack([inside[nearest], outside], 1))

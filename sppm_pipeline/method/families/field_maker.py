@@ -122,6 +122,7 @@ class MadeField(FormulaField):
 
     def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
         values = self.maker.evaluate(x, y, z)
+        # a float64 scalar promotes float32 values, so that the difference keeps its digits
         return values - np.float64(self.offset) if self.offset else values
 
     def cut_at(self, value: float) -> MadeField:

@@ -33,20 +33,10 @@ def extension_of(path: str) -> str:
 
 
 def require_format(stage: Stage, path: str, known: Collection[str], only_for: Mapping[str, str]) -> None:
-    """Refuse an unknown extension, and options that the format of the file does not have.
+    """Raise ConfigError for an extension that isn't `known`, or options that its format does not have.
 
-    Parameters
-    ----------
-    stage : Stage
-    path : str
-        The file to write.
-    known : extensions, in lower case and with their dots
-    only_for : mapping of option to extension
-        Options that belong to one format; they must keep their defaults for every other one.
-
-    Raises
-    ------
-    ConfigError
+    Extensions are in lower case, with dots. `only_for` maps options to the extension they belong to; for every other
+    one they must keep their defaults.
     """
     extension = extension_of(path)
     if extension not in known:

@@ -24,34 +24,17 @@ EVALUATIONS_PER_CELL = 12
 
 
 class Candidate(NamedTuple):
-    """A cell whose gap is searched.
+    """A cell whose gap is searched."""
 
-    Attributes
-    ----------
-    draw : int
-        Number of the draw.
-    extra : int
-        Pores more than the line says.
-    """
-
-    draw: int
-    extra: int
+    draw: int  # number of the draw
+    extra: int  # pores more than the line says
 
 
 class GapFit(NamedTuple):
-    """The cell that is nearest to the target.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    gap : float
-        Cell sizes.
-    porosity : float
-    made : Microstructure
-    """
+    """The cell that is nearest to the target."""
 
     candidate: Candidate
-    gap: float
+    gap: float  # cell sizes
     porosity: float
     made: Microstructure
 
@@ -72,36 +55,20 @@ def search_gap(
     tolerance: float,
     max_evaluations: int,
 ) -> tuple[GapFit | None, int]:
-    """Try cells until the gap of one gives the porosity.
+    """Try cells until the gap of one gives the porosity; returns the nearest one and the number of evaluations.
 
-    Parameters
-    ----------
-    interval : callable
-        Gaps between which a cell is searched, from its spacing on; None if its interior is too full for any.
-    evaluate : callable
-        From a cell and a gap to the porosity and the microstructure.
-    offsets : tuple of int
-        See `OFFSETS`; the first one is tried first.
-    target, tolerance : float
-    max_evaluations : int
-        Bound on the number of microstructures that are drawn and measured.
-
-    Returns
-    -------
-    GapFit or None
-        The nearest one; it meets the target unless the evaluations are used up. None if no cell could be searched.
-    int
-        Number of evaluations.
-
-    Raises
-    ------
-    DesignError
-        If no cell could be drawn.
+    It meets the target unless the evaluations are used up, and is None if no cell could be searched. `interval` gives
+    the gaps between which a cell is searched, from its spacing on, or None if its interior is too full for any;
+    `evaluate` makes a porosity and a microstructure from a cell and a gap. Of `offsets`, see `OFFSETS`, the first is
+    tried first. `max_evaluations` bounds the microstructures that are drawn and measured. Raises DesignError if no cell
+    could be drawn.
     """
     best: GapFit | None = None
     failure: DesignError | None = None
     done = 0
     for number, candidate in enumerate(candidates(offsets)):
+        # a search takes two evaluations or more; and where no number of pores could be searched in the first draw, more
+        # draws are in vain
         if done + 2 > max_evaluations or (best is None and number >= len(offsets)):
             break
         ends = interval(candidate)

@@ -60,12 +60,14 @@ class VoxelCell(NamedTuple):
         if self.phase is not None:
             return 1 - float(np.count_nonzero(self.phase)) / self.phase.size
         assert self.fraction is not None
+        # float32 sums of millions of voxels would lose digits
         return 1 - float(self.fraction.mean(dtype=np.float64))
 
     def occupied(self) -> NDArray[np.uint8]:
         """1 where there is any solid."""
         given = self.phase if self.phase is not None else self.fraction
         assert given is not None
+        # both have one byte: a view saves a copy
         return (given > 0).view(np.uint8)
 
     def of_voxels(self, values: tuple[float, ...], dtype: DTypeLike) -> NDArray[Any]:
@@ -163,12 +165,14 @@ def refined(
         images, assumed = [source], 1.0
         try:
             while len(images) < len(counts):
+                # the coarsest first, as in `counts`
                 images.insert(0, images[0].coarsened())
         except ValueError as error:
             raise ConfigError(str(error), hint="crop the image, or leave out `grids`") from None
         sources, counts = list(images), [max(image.shape) for image in images]
     reports = []
     for number, (count, given) in enumerate(zip(counts, sources, strict=True)):
+        # only the finest grid is the result: the others may be coarse
         reports.append(solve(context if count == counts[-1] else cast(Context, _Quiet(context)), count, given))
         context.progress(number + 1, len(counts), "grids")
     limit = richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
@@ -205,6 +209,7 @@ class Homogenizer(Stage):
     def solving(self, source: Size, resolution: int, repeats: float = 1.0) -> Size:
         """The size of solving the problem of a field or of an image."""
         grid = Size(voxels=source.voxels) if source.voxels else source.grid(resolution)
+        # double precision takes twice the memory
         voxels = (source.voxels or grid.samples) * (2 if self.precision == "double" else 1)
         return Size(
             samples=repeats * grid.samples, sums=repeats * grid.sums, voxels=repeats * voxels, resident=voxels,

@@ -18,19 +18,9 @@ _WORDS = {"scanline": "rays along x", "winding": "its winding number", "vote": "
 
 
 def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[SurfaceMesh, Method]:
-    """Wind a mesh outwards and choose its inside test; how sure that is goes into the run record.
+    """Wind a mesh outwards and choose its inside test (a method, or "auto"); the run record says how sure that is.
 
-    Parameters
-    ----------
-    context : Context
-    mesh : SurfaceMesh
-    inside : str
-        The method, or "auto".
-
-    Raises
-    ------
-    InputError
-        If too much of the inside is undecided.
+    Raises InputError if too much of the inside is undecided.
     """
     from sppm_pipeline.method.part.inside import inside_test
 
@@ -41,6 +31,7 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
     if found.turned:
         mesh = SurfaceMesh(mesh.vertices, found.faces, mesh.name, mesh.groups)
         context.warn(f"{found.turned} of {len(found.faces)} triangles of {mesh.name} were turned to face outwards")
+    # only an open surface leaves doubts
     if found.closed:
         return mesh, found.method
     context.report(undecided_share=found.undecided_share, disagreement=found.disagreement)

@@ -136,6 +136,7 @@ class Interiors:
         self._palette = palette
         self.alike = palette.totals is None and palette.spacings is None
         on_axis = np.bincount(pores.axis_of_piece()[pores.piece] + 1, minlength=4)[1:]
+        # mean over the colors of each axis, opposite faces counted once
         self.face_pores = round(sum(n / c for n, c in zip(on_axis, pores.colors, strict=True) if c))
 
     def __len__(self) -> int:
@@ -149,15 +150,10 @@ class Interiors:
         """Box and surroundings of one of them."""
         pores = self.pores
         return InteriorBox(
-            lower=np.full(3, self.gap),
-            upper=np.full(3, 1 - self.gap),
-            periodic=not pores.has_faces,
+            lower=np.full(3, self.gap), upper=np.full(3, 1 - self.gap), periodic=not pores.has_faces,
             obstacles=np.concatenate([pores.of_piece(interior), self._meetings.pores_around(interior)]),
-            cell=pores.cell,
-            spacing=self.spacing,
-            face_pores=self.face_pores,
-            folded=self._meetings.folded(interior),
-        )
+            cell=pores.cell, spacing=self.spacing, face_pores=self.face_pores, folded=self._meetings.folded(interior),
+        )  # fmt: skip
 
     def surrounding(self) -> tuple[Surrounding, NDArray[np.float64]]:
         """The obstacles of all boxes, if there are faces: those of each, and those of all, (k, 3)."""

@@ -18,10 +18,7 @@ MAX_CHANGE = 0.1
 class Radii(NamedTuple):
     """Radii of isolated pores and tunnels, cell sizes: geometric means where they vary.
 
-    Attributes
-    ----------
-    pore, tunnel : float
-        0 if there is none, and at levels of 1 or more, which no isolated kernel reaches.
+    0 if there is none, and at levels of 1 or more, which no isolated kernel reaches.
     """
 
     pore: float
@@ -36,8 +33,10 @@ class Radii(NamedTuple):
 def radii_of(micro: Microstructure, level: float | None = None) -> Radii:
     """Radii at a level, that of the microstructure if omitted."""
     kernels, level = micro.pieces.kernels, micro.level if level is None else level
+    # an isolated kernel is 1 at its center and nowhere more
     if level >= 1:
         return Radii(0.0, 0.0)
+    # radii are log-normal: their median is the geometric mean
     omega, mu = (_geometric_mean(parameters) for parameters in (kernels.omega, kernels.mu))
     profile = TUNNEL_PROFILES[kernels.profile]
     return Radii(PORE_PROFILE.radius(omega, level) if omega else 0.0, profile.radius(mu, level) if mu else 0.0)

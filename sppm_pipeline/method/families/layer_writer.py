@@ -202,6 +202,7 @@ class LayerWriter(Stage):
         def sheets() -> Iterator[NDArray[np.uint64]]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
+                    # row 0 of a layer that is written is the side of largest y
                     rows = layer[::-1].copy()
                     if number in shown or (observer is not None and number in seen):
                         show(number, image_of(rows, stack))
@@ -232,6 +233,7 @@ class LayerWriter(Stage):
         layers = EncodedLayers(encoded, source, observer)
         target = context.output(self.path)
         self.store(target, stack, layers)
+        # a `store` that stops early would leave a truncated part without notice
         if layers.taken != nz:
             raise RuntimeError(f"`store` of {self.name} has taken {layers.taken} of {nz} layers")
         found = layers.findings

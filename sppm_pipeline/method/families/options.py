@@ -102,11 +102,7 @@ overhang_angle = _shared(
 fail = _shared("rules that reject what is checked (exit code 3)")
 
 # layers
-gray = _shared(
-    "samples along a pixel's edge for gray by area coverage; 1 for black and white",
-    minimum=1,
-    maximum=16,
-)
+gray = _shared("samples along a pixel's edge for gray by area coverage; 1 for black and white", minimum=1, maximum=16)
 gray_layers = _shared(
     "samples along the height of a layer for gray by coverage; 1 cuts it once, in the middle", minimum=1, maximum=16
 )
@@ -142,11 +138,6 @@ descending = _shared("sort from large to small")
 
 
 def check_degree(degree: tuple[int, int]) -> None:
-    """Refuse bounds of the option `degree` whose first is the larger one.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if the first bound of the option `degree` is the larger one."""
     if degree[0] > degree[1]:
         raise ConfigError(f"the degree bounds [{degree[0]}, {degree[1]}] are in the wrong order")

@@ -140,6 +140,7 @@ class Sampler(Stage):
             If it has neither.
         """
         if getattr(self, "total", None) is not None:
+            # `total` counts the pores on the faces, `count` does not
             return replace(self, total=count + face_pores)  # type: ignore[call-arg]
         if getattr(self, "count", None) is not None:
             return replace(self, count=count)  # type: ignore[call-arg]
@@ -182,10 +183,7 @@ def design_of(edge: Length | None) -> CellDesign:
 def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tuple[Cell, PoreSet]:
     """The cell and the pores a sampler starts from.
 
-    Raises
-    ------
-    DesignError
-        If `edge` contradicts the cell of the pores thrown before.
+    Raises DesignError if `edge` contradicts the cell of the pores thrown before.
     """
     cell = Cell(edge.mm(), True) if edge and edge.unit else Cell(edge.value if edge else 1.0)
     if pores is None:

@@ -29,15 +29,9 @@ others back: beyond, the potential is below 1e-3. The rim lies in the blocks aro
 
 @dataclass(frozen=True, eq=False)
 class FilledBlocks(Blocks, ABC):
-    """Blocks over cells of another shape, which say themselves where darts fall: implement `with_darts`.
+    """Blocks over cells of another shape, which say themselves where darts fall: implement `with_darts`."""
 
-    Attributes
-    ----------
-    content : str
-        What they cover, for messages.
-    """
-
-    content: ClassVar[str]
+    content: ClassVar[str]  # what they cover, for messages
 
     @abstractmethod
     def with_darts(self, context: Context, base: PoreSet, mean: float, spacing: float) -> PoreSet:
@@ -47,21 +41,10 @@ class FilledBlocks(Blocks, ABC):
 def with_darts(
     context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float, *, obstacles: bool = True
 ) -> PoreSet:
-    """Throw darts into all blocks, `mean` pores each, by the compiled way.
+    """Throw darts into all blocks, `mean` pores each, by the compiled way; fractions are carried from block to block.
 
-    Parameters
-    ----------
-    context : Context
-    base : PoreSet
-        Pores thrown before.
-    blocks : Blocks
-        With a density, pores are so many times as many; with pores that are kept, the missing ones are added to these.
-    mean : float
-        Pores of a block; fractions are carried from block to block.
-    spacing : float
-        Cell sizes.
-    obstacles : bool
-        Whether to keep the spacing from the pores thrown before, too.
+    With a density, pores are so many times as many; with pores that are kept, the missing ones are added to these. The
+    spacing is in cell sizes, and is kept from the pores thrown before (`base`), too, if they are `obstacles`.
     """
     from sppm_pipeline.method.sampling.blocks import check_block_spacing, throw_blocks
 
@@ -79,6 +62,7 @@ def with_darts(
         seed, quotas, spacing, periodic=blocks.periodic, density=blocks.density, metric=blocks.metric, before=before,
         threads=context.threads,
     )  # fmt: skip
+    # spacings go with the power -1/3 of the density: the smallest is where it is largest
     least = spacing if blocks.density is None else spacing * float(blocks.density.max()) ** (-1 / 3)
     return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], least)
 
@@ -88,14 +72,8 @@ def with_evened(
 ) -> tuple[PoreSet, float]:
     """Throw darts into all blocks, `mean` pores each, and even them out; pores thrown before stay where they are.
 
-    At the rim of the blocks, where neighbors are missing, darts stay, too.
-
-    Returns
-    -------
-    pores : PoreSet
-        Darts may have moved to a neighboring block.
-    structure_factor : float
-        Of the silenced waves; see `sampling.evened`.
+    At the rim of the blocks, where neighbors are missing, darts stay, too; others may have moved to a neighboring
+    block. Also returns the structure factor of the silenced waves, see `sampling.evened`.
     """
     from sppm_pipeline.method.sampling.evened import even_out, near_the_rim
 
@@ -111,6 +89,7 @@ def with_evened(
     points, factor = even_out(
         points, moves, blocks.mask, blocks.periodic, density, stealth, spacing, threads=context.threads
     )
+    # a coordinate may lie on the far end by rounding
     block = np.minimum(points.astype(np.int64), np.array(blocks.shape) - 1)
     piece = blocks.numbers[tuple(block.T)].astype(np.int32)
     order = np.argsort(piece, kind="stable")
@@ -120,10 +99,7 @@ def with_evened(
 def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Blocks) -> PoreSet:
     """Call the sampler's `throw` for every block, with the pores of all neighbors thrown before as obstacles.
 
-    Raises
-    ------
-    DesignError
-        If the lattice repeats and is one block wide along some axes, but not along all.
+    Raises DesignError if the lattice repeats and is one block wide along some axes, but not along all.
     """
     from sppm_pipeline.method.families.interiors import InteriorBox
     from sppm_pipeline.method.sampling.blocks import block_colors
@@ -172,6 +148,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
             if not quotas[t]:
                 continue
             stage = sampler.with_pores(int(quotas[t]))
+            # as the compiled way does: spacings follow the density of the block
             box = box._replace(spacing=None if spacing is None else spacing * float(factors[t]))
         new[t] = stage.thrown(context, int(t), box)
         thrown[t] = np.concatenate([thrown[t], new[t]])
@@ -183,10 +160,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
 def _kept_and_more(base: PoreSet, blocks: Blocks, mean: float) -> tuple[PoreSet, NDArray[np.int64]]:
     """Pores thrown before, those that are kept among them, and how many more each interior gets.
 
-    Raises
-    ------
-    ConfigError
-        If graded blocks have pores of another sampler.
+    Raises ConfigError if graded blocks have pores of another sampler.
     """
     from sppm_pipeline.method.sampling.blocks import block_quotas
 
@@ -225,10 +199,7 @@ def _first_of_blocks(piece: NDArray[np.int32], blocks: Blocks) -> NDArray[np.int
 def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGraph:
     """Join the pores of all blocks into one graph.
 
-    Raises
-    ------
-    ConfigError
-        If the sampler does not support blocks, or the connector no stretched pores.
+    Raises ConfigError if the sampler does not support blocks, or the connector no stretched pores.
     """
     blocks = pores.blocks
     if blocks is None:
@@ -253,6 +224,7 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     periodic = (blocks.periodic,) * 3
     cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell, metric)
     edges, shift = connector.join_cloud(context, cloud)
+    # what the graph no longer needs goes before arrays of the same size are made
     del cloud, points
     first, second = (pores.piece[edges[:, end]] for end in range(2))
     # in a cloud shifts are between places of the lattice; in a tiling between cells

@@ -49,23 +49,12 @@ def image_of(rows: NDArray[np.uint64], stack: SliceStack) -> NDArray[np.uint8]:
 
 
 class EncodedSlab(NamedTuple):
-    """Result of a worker.
-
-    Attributes
-    ----------
-    layers : list of bytes
-    pictures : dict of int to bytes
-        The pixels of the layers that were asked for, compressed.
-    voxels : int
-        Solid samples.
-    counts : dict
-        See `SampledSlices.decided`.
-    """
+    """Result of a worker."""
 
     layers: list[bytes]
-    pictures: dict[int, bytes]
-    voxels: int
-    counts: dict[str, int]
+    pictures: dict[int, bytes]  # compressed pixels of the layers that were asked for
+    voxels: int  # solid samples
+    counts: dict[str, int]  # see `SampledSlices.decided`
 
 
 def encode_slab(common: tuple[SampledSlices, Encoder], task: SlabTask) -> EncodedSlab:
@@ -83,6 +72,7 @@ def encode_slab(common: tuple[SampledSlices, Encoder], task: SlabTask) -> Encode
             for number, layer in enumerate(stack.shaded(solid) if gray else solid, start // stack.sublayers):
                 image = layer[::-1].copy()
                 if number in task.shown:
+                    # level 1: pictures only pass from process to process
                     made.pictures[number] = zlib.compress((image if gray else image_of(image, stack)).data, 1)
                 yield image
 
@@ -100,6 +90,7 @@ def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
     if not context.worth_workers(math.prod(stack.samples.shape)):
         return False
     try:
+        # tried here, as an error in a worker would come too late to fall back
         stored_bytes((stack, writer))
     except NotStorable as error:
         context.warn(f"one process makes all layers, as workers can't be handed {error}")
@@ -108,22 +99,9 @@ def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
 
 
 class DividedLayers:
-    """Encoded layers from the lowest, made by workers.
+    """Encoded layers from the lowest, made by workers; `findings` are empty until the last layer was taken.
 
-    Parameters
-    ----------
-    context : Context
-    stack : SampledSlices
-    writer : Encoder
-    shown : collection of int
-        Layers whose pixels are wanted.
-    show : function of int and image
-        Is given them, the lowest first.
-
-    Attributes
-    ----------
-    findings : dict
-        Empty until the last layer was taken.
+    `show` is given the pixels of the layers `shown`, the lowest first.
     """
 
     def __init__(
@@ -146,6 +124,7 @@ class DividedLayers:
         tasks = island_pass.tasks if island_pass is not None else slab_tasks(stack, *self._means)
         wanted = [task._replace(shown=tuple(self._of(task))) for task in tasks]
         voxels, counts = 0, dict[str, int]()
+        # the search for islands is the first half of the work
         before, total = (0, len(tasks)) if keep or known else (len(tasks), 2 * len(tasks))
         for number, made in enumerate(context.map(encode_slab, wanted, self._common), 1):
             voxels += made.voxels

@@ -92,6 +92,7 @@ def tiling_size(
     """
     edge = cell.mm() if cell is not None else content.body.edge_mm
     if cells is not None:
+        # a box of cells is full: only the box limits it
         box, filled = tuple(map(float, cells)), math.inf
     elif cover is None or edge is None:
         raise LookupError("the lattice is unknown")
@@ -112,6 +113,7 @@ def laid_cells(made: Size, periodic: bool) -> float:
     if periodic:
         return made.cells
     x, y, z = (n + 2.0 * HALO for n in made.body.box)
+    # a layer of cells on the surface, but no more than the box with its halo
     return min(x * y * z, made.cells + HALO * made.body.envelope)
 
 
@@ -123,26 +125,13 @@ REPORTED_CELLS = 64
 
 
 class Scattering(NamedTuple):
-    """Request for scattered pores, as options and inputs of `tile.scattered` say.
-
-    Attributes
-    ----------
-    recipe : Recipe
-    lattice : Lattice
-        Blocks that are needed.
-    mask : (nx, ny, nz) bool
-        Those that are laid, which include `HALO` around the needed ones unless the lattice repeats.
-    cover : SurfaceMesh or None
-        The part.
-    periodic : bool
-    porosity : float or None
-    resolution, rounds, trials : int
-    """
+    """Request for scattered pores, as options and inputs of `tile.scattered` say."""
 
     recipe: Recipe
-    lattice: Lattice
+    lattice: Lattice  # blocks that are needed
+    # those that are laid, which include `HALO` around the needed ones unless the lattice repeats
     mask: NDArray[np.bool_]
-    cover: SurfaceMesh | None
+    cover: SurfaceMesh | None  # the part
     periodic: bool
     porosity: float | None
     resolution: int
@@ -154,6 +143,7 @@ def scattered_by_maps(context: Context, maps: Maps | None, wanted: Scattering) -
     """Pores that follow maps; None if there are none, or no map changes what is scattered."""
     if maps is None:
         return None
+    # called by name, as maps belong to a feature and imports lead inwards only
     module, _, function = maps.scattered_by.partition(":")
     made: Tiling | None = getattr(import_module(module), function)(context, maps, wanted)
     return made
@@ -175,7 +165,7 @@ class Tiler(Stage):
     """Base of tile rules: implement `lay`; `run` finds the cells that are needed, and cuts the field.
 
     Unless the box repeats, one more cell is laid on all sides, as if the box or part were cut out of a larger whole.
-    The level is that at which what was laid has the porosity asked for: tiles differ by some per cent in porosity, and
+    The level is that at which what was laid has the porosity asked for: tiles differ by some percent in porosity, and
     a box or part holds some of them more often than others.
     """
 
@@ -240,12 +230,9 @@ class Tiler(Stage):
 
 
 def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
-    """Checked result of `lay`.
+    """Checked result of `lay` of the stage `name`.
 
-    Raises
-    ------
-    ValueError
-        If shapes, types or numbers are not those that `Tiler.lay` names; `name` is that of the stage.
+    Raises ValueError if shapes, types or numbers are not those that `Tiler.lay` names.
     """
     from sppm_pipeline.method.assembly.contents import TilingArrays, check_tiling
 
@@ -258,6 +245,7 @@ def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet)
             f"{interior.shape}"
         )
     try:
+        # whether the ends of a box that repeats agree is asked by `run`, with a hint of its own
         check_tiling(TilingArrays(interior, (faces[0], faces[1], faces[2]), False), tileset.micro.pieces)
     except ValueError as error:
         raise ValueError(f"{name}.lay: {error}") from None
@@ -328,6 +316,7 @@ def at_porosity(
 
     def samples_of(corner: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[np.float32]:
         (x, y, z), (nx, ny, nz) = corner.astype(float), shape
+        # voxel centers
         grid = Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (nx * per_edge, ny * per_edge, nz * per_edge))
         sums = tiling.sums(grid, context.threads)
         if part is not None:
@@ -341,6 +330,7 @@ def at_porosity(
     if len(filled) <= MEASURED_CLOSELY:
         found = [samples_of(cell, (1, 1, 1)) for cell in filled]
     else:
+        # boxes within a layer bound the memory of the samples that are not needed
         layers = (filled[filled[:, 2] == z] for z in np.unique(filled[:, 2]))
         found = [samples_of(*box) for cells in layers for box in boxes_of(cells, SPARE_SAMPLES / per_edge**3)]
     samples = np.concatenate(found)

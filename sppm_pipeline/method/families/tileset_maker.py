@@ -75,6 +75,7 @@ class TileSetMaker(Stage):
         if self.porosity is not None:
             fit = level_for_porosity(np.concatenate([g.ravel("K") for g in sums]), self.porosity)
             micro = micro.with_level(fit.level)
+            # another grid than the level was fitted on, or the error would be zero by construction
             finer = n + n // 2 + 1
             fine = _porosities(self._sums(context, micro, trial, finer), micro.level, finer)
             error = abs(float(np.mean(np.concatenate(fine))) - self.porosity)
@@ -104,6 +105,7 @@ class TileSetMaker(Stage):
 
         if len(trial) == 1:
             return [sums(trial[0])]
+        # many small layouts: one thread each keeps all busy
         with ThreadPoolExecutor(context.threads) as pool:
             return list(pool.map(sums, trial))
 
@@ -111,10 +113,7 @@ class TileSetMaker(Stage):
 def check_faces(micro: Microstructure, palette: Palette, recipe: str) -> None:
     """Different interiors fit side by side only at the faces that they share.
 
-    Raises
-    ------
-    DesignError
-        If the recipe put no pores on the faces, or fewer patterns than there are colors.
+    Raises DesignError if the recipe put no pores on the faces, or fewer patterns than there are colors.
     """
     if palette.interiors > 1 and any(made < asked for made, asked in zip(micro.colors, palette.colors, strict=True)):
         raise DesignError(
@@ -128,6 +127,7 @@ def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[N
     """Porosity of each cell of each trial layout, in the order of ``interior.ravel()``."""
     found = []
     for g in sums:
+        # decided in float32, as slices are
         void = (g >= np.float32(level)).T
         nz, ny, nx = (size // n for size in void.shape)
         found.append(void.reshape(nz, n, ny, n, nx, n).mean((1, 3, 5)).T.ravel())

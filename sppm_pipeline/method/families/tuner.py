@@ -22,21 +22,11 @@ FIRST = "values that are tried before any is proposed"
 
 
 class Varied(NamedTuple):
-    """An option that is varied.
+    """An option that is varied."""
 
-    Attributes
-    ----------
-    name : str
-        As messages call it.
-    places : tuple of (stage, option)
-        Where it stands in the recipe.
-    value : object
-        What the recipe states.
-    """
-
-    name: str
-    places: tuple[tuple[str, str], ...]
-    value: Any
+    name: str  # as messages call it
+    places: tuple[tuple[str, str], ...]  # stages and options of the recipe where it stands
+    value: Any  # what the recipe states
 
     @property
     def whole(self) -> bool:
@@ -52,10 +42,7 @@ class Varied(NamedTuple):
     def within(self, low: float, high: float) -> tuple[float, float]:
         """The bounds between which it is varied; of integers the outermost ones that do not lie beyond.
 
-        Raises
-        ------
-        ConfigError
-            If there are no two.
+        Raises ConfigError if there are no two.
         """
         if not self.whole:
             return low, high
@@ -80,10 +67,7 @@ def options_at(varied: Sequence[Varied], at: Sequence[float]) -> dict[str, dict[
 def varied_option(recipe: Recipe, vary: str) -> Varied:
     """The option that a user names: ``id.option``, ``recipe.id.option``, or an option of all stages that state it.
 
-    Raises
-    ------
-    ConfigError
-        If there is none, or stages state it differently.
+    Raises ConfigError if there is none, or stages state it differently.
     """
     known: Mapping[str, Mapping[str, Any]] = {**recipe.inner_options(), **recipe.options()}
     stage, _, name = vary.rpartition(".")
@@ -147,6 +131,7 @@ class Tuner(Stage):
         fields: dict[float, ScalarField] = {}
 
         def evaluate(at: Sequence[float]) -> tuple[float]:
+            # the context's own random numbers: trials differ by the option alone
             made = recipe.run(context, palette=context.palette, options=options_at([varied], at))
             if not isinstance(made, ScalarField):
                 raise ConfigError(f"the recipe {recipe.name!r} makes a {type(made).__name__}, no field")
@@ -198,17 +183,8 @@ def missed(
 ) -> DesignError:  # fmt: skip
     """The error of a search that did not meet its targets: what was reached, where, and what stopped it.
 
-    Parameters
-    ----------
-    found : Search
-    what : sequence of str
-        What has the targets.
-    targets, varied, low, high
-        One each for each of `what`.
-    evaluations : str
-        What evaluations are, in the plural.
-    spread : sequence of str
-        Said behind each number that was reached.
+    `what` has the `targets`; `varied`, `low` and `high` are one each for each of these. `evaluations` says what those
+    are, in the plural; `spread` is said behind each number that was reached.
     """
     goal = " and ".join(f"{name} {target:g}" for name, target in zip(what, targets, strict=True))
     best = found.best.numbers or ()
@@ -249,4 +225,5 @@ def _around(found: Search, target: float) -> tuple[tuple[float, float], tuple[fl
     """The nearest two trials that enclose a target."""
     known = sorted((trial.at[0], trial.numbers[0]) for trial in found.trials if trial.numbers is not None)
     pairs = [pair for pair in pairwise(known) if (pair[0][1] - target) * (pair[1][1] - target) <= 0]
+    # the narrowest interval shows the jump best
     return min(pairs, key=lambda pair: pair[1][0] - pair[0][0])

@@ -48,15 +48,11 @@ class Kernels(NamedTuple):
     def taken(self, pores: slice | NDArray[Any], tunnels: slice | NDArray[Any]) -> Kernels:
         """Some of the pores and some of the tunnels: by slices, by indices or by masks; the latter two make copies."""
         return Kernels(
-            _rows(self.centers, pores),
-            _rows(self.omega, pores),
-            _rows(self.starts, tunnels),
-            _rows(self.ends, tunnels),
-            _rows(self.mu, tunnels),
-            self.profile,
+            _rows(self.centers, pores), _rows(self.omega, pores), _rows(self.starts, tunnels),
+            _rows(self.ends, tunnels), _rows(self.mu, tunnels), self.profile,
             None if self.pore_metric is None else _rows(self.pore_metric, pores),
             None if self.tunnel_metric is None else _rows(self.tunnel_metric, tunnels),
-        )
+        )  # fmt: skip
 
     def shifted(self, offset: NDArray[np.float64]) -> Kernels:
         """The same kernels moved by `offset` (3,)."""
@@ -77,30 +73,22 @@ def empty_kernels() -> Kernels:
 
 
 def concatenated(parts: Iterable[Kernels]) -> Kernels:
-    """All kernels of several sets in order; the profile of the tunnels must agree. Sets without tunnels fit any.
-
-    Raises
-    ------
-    ValueError
-        If the sets mix tunnel profiles.
-    """
+    """All kernels of several sets in order; sets without tunnels fit any. ValueError if tunnel profiles differ."""
     parts = list(parts)
     if not parts:
         return empty_kernels()
     profiles = sorted({part.profile for part in parts if len(part.starts)})
     if len(profiles) > 1:
         raise ValueError(f"a kernel set has one tunnel profile, not {' and '.join(profiles)}")
+    # a set with metrics takes plain distances as metrics, too
     stretched = any(part.pore_metric is not None for part in parts)
     return Kernels(
-        np.concatenate([part.centers for part in parts]),
-        np.concatenate([part.omega for part in parts]),
-        np.concatenate([part.starts for part in parts]),
-        np.concatenate([part.ends for part in parts]),
-        np.concatenate([part.mu for part in parts]),
-        profiles[0] if profiles else parts[0].profile,
+        np.concatenate([part.centers for part in parts]), np.concatenate([part.omega for part in parts]),
+        np.concatenate([part.starts for part in parts]), np.concatenate([part.ends for part in parts]),
+        np.concatenate([part.mu for part in parts]), profiles[0] if profiles else parts[0].profile,
         np.concatenate([_metrics(p.pore_metric, len(p.omega)) for p in parts]) if stretched else None,
         np.concatenate([_metrics(p.tunnel_metric, len(p.mu)) for p in parts]) if stretched else None,
-    )
+    )  # fmt: skip
 
 
 def _metrics(metric: NDArray[np.float64] | None, n: int) -> NDArray[np.float64]:
@@ -124,6 +112,7 @@ def steepest(kernels: Kernels) -> tuple[float, float]:
     """The largest size parameters omega and mu that a pore and a tunnel have along any direction; 0 for none."""
     omega, mu = kernels.omega, kernels.mu
     if kernels.pore_metric is not None and kernels.tunnel_metric is not None:
+        # along its shortest semi-axis a stretched kernel is steepest
         omega = omega * PORE_PROFILE.scaled_radius(semi_axes(kernels.pore_metric)[:, 1])
         mu = mu * TUNNEL_PROFILES[kernels.profile].scaled_radius(semi_axes(kernels.tunnel_metric)[:, 1])
     return float(omega.max(initial=0)), float(mu.max(initial=0))
@@ -132,15 +121,7 @@ def steepest(kernels: Kernels) -> tuple[float, float]:
 def reach_boxes(
     kernels: Kernels, cutoff: float = DEFAULT_CUTOFF
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Axis-parallel boxes outside of which the kernels lie below the cut-off.
-
-    Returns
-    -------
-    pore_lower, pore_upper : (n, 3) float64
-        Corners of the boxes of the pores.
-    tunnel_lower, tunnel_upper : (m, 3) float64
-        Corners of the boxes of the tunnels.
-    """
+    """Low and high corners (n, 3) of boxes outside of which pores, then tunnels, lie below the cut-off."""
     pores, tunnels = half_boxes(kernels, slice(None), slice(None), cutoff)
     return (
         kernels.centers - pores,

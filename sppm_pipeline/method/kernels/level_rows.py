@@ -23,18 +23,9 @@ def less_level(
 ) -> None:
     """A number less the spline in a window of a layer, (h, w) float32; products and sums one by one, as in NumPy.
 
-    Parameters
-    ----------
-    rows : (ny, cells + 2) float32
-        Control points along every row, with one more at each end.
-    cell : (nx,) int64
-        Cell of every sample of a row.
-    weights : (3, nx) float32
-        Of the control points before, in and after its cell.
-    begin : float32
-    row, column : int
-        Where the window begins.
-    out : (h, w) float32
+    `rows` (ny, cells + 2) are the control points along every row, with one more at each end; `cell` (nx,) is the cell
+    of every sample of a row, and `weights` (3, nx) those of the control points before, in and after it. The window
+    begins at `row`, `column`.
     """
     height, width = out.shape
     i = 0
@@ -64,27 +55,13 @@ def void_at_level(
 ) -> tuple[int, int, int, int]:
     """Samples of a cell that count, and their distance above the level, clipped to the width that the count resolves.
 
-    Parameters
-    ----------
-    codes : (n, n, n) int16
-        Values less `middle`, times `scale`, rounded, indexed z, y, x; `OUTSIDE` for those that do not count.
-    control : (3, 3, 3) float64
-        Control points of the spline in and around the cell, indexed x, y, z.
-    weights : (n, 3) float64
-        Of the control points before, in and after the cell at the samples along an axis.
-    middle, scale, most : float
-        Levels are coded as values are, and no code is larger than `most`.
-    width : int
-        A multiple of 4.
+    `codes` (n, n, n) int16, indexed z, y, x, are values less `middle`, times `scale`, rounded, and `OUTSIDE` for those
+    that do not count; levels are coded alike, up to `most`. `control` (3, 3, 3), indexed x, y, z, are control points in
+    and around the cell, and `weights` (n, 3) those of the ones before, in and after it at the samples along an axis.
+    `width` is a multiple of 4.
 
-    Returns
-    -------
-    inside : int
-        Samples that count.
-    wide, narrow : int
-        Sums over these of how far they lie above the level less half a width, at most a width; the same for half of it.
-    beside : int
-        Those within half a width of the level.
+    Returns the number of samples that count; the sum of how far they lie above the level less half a width, at most a
+    width; the same for half of it; and the number of those within half a width of the level.
     """
     inside, beside = int(np.int64(0)), int(np.int64(0))
     wide, narrow = int(np.int64(0)), int(np.int64(0))
@@ -127,12 +104,7 @@ def level_at(
 ) -> None:
     """The spline at some samples of some rows of a layer from `row` on; see `less_level`.
 
-    Parameters
-    ----------
-    row_from : (h + 1,) int64
-        Where the samples of each row begin in `columns` and `out`, and where they end.
-    columns : (n,) int32
-    out : (n,) float32
+    `row_from` (h + 1,) is where the samples of each row begin in `columns` and `out`, and where they end.
     """
     for j in range(len(row_from) - 1):
         for s in range(row_from[j], row_from[j + 1]):

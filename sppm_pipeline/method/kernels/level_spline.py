@@ -44,15 +44,9 @@ def weights_in_cell(n: int) -> NDArray[np.float64]:
 
 
 class LayerSpline:
-    """The spline on the rows of layers, as what samples a field layer by layer asks for it.
+    """The spline with `control` (nx, ny, nz) on the rows of layers, at samples x (k,), y (m,), z (n,) in cell sizes.
 
     A value depends on its position alone: it is the same sum of three numbers whatever is asked for beside it.
-
-    Parameters
-    ----------
-    control : (nx, ny, nz) float64
-    x, y, z : (k,), (m,), (n,) float64
-        Positions of the samples, cell sizes.
     """
 
     def __init__(
@@ -76,10 +70,7 @@ class LayerSpline:
     def at(
         self, layer: int, rows: range, row_from: NDArray[np.int64], columns: NDArray[np.int32], out: NDArray[np.float32]
     ) -> None:
-        """Write the spline at some samples of some rows of a layer.
-
-        Those of a row begin at ``row_from[r]`` in `columns`, and `out` holds as many.
-        """
+        """Write the spline at some samples of some rows of a layer; row r begins at ``row_from[r]`` in `columns`."""
         from sppm_pipeline.method.kernels.level_rows import level_at
 
         level_at(self._rows[layer], self._cell, self._weights, rows.start, row_from, columns, out)
@@ -110,22 +101,14 @@ def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def control_with_some_held(means: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Control points that are zero in some cells, whose spline has the given means over all others.
+    """Control points (nx, ny, nz) that are zero in the cells `held`, whose spline has the given means over all others.
 
-    Parameters
-    ----------
-    means : (nx, ny, nz) float64
-    held : (nx, ny, nz) bool
-        Cells whose control point is zero; their means come out as they may.
-
-    Returns
-    -------
-    (nx, ny, nz) float64
-        By conjugate gradients: the matrix is symmetric, its eigenvalues lie between 1/27 and 1.
+    By conjugate gradients: the matrix is symmetric, its eigenvalues lie between 1/27 and 1.
     """
     found = np.zeros_like(means)
     residual = np.where(held, 0.0, means)
     direction, square = residual, float((residual**2).sum())
+    # of squares: the residual has fallen to 1e-10 of its start
     enough = 1e-20 * square
     while square > enough:
         applied = np.where(held, 0.0, _means_of(direction))
@@ -154,6 +137,7 @@ def extended(values: NDArray[np.float64], known: NDArray[np.bool_], sweeps: int 
     if known.all() or not known.any():
         return np.where(known, values, 0.0)
     found = np.where(known, values, values[known].mean())
+    # Jacobi sweeps; a value spreads by one cell in each
     for _ in range(min(sweeps, 2 * sum(found.shape))):
         padded = np.pad(found, 1, mode="edge")
         around = sum(np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (-1, 1))

@@ -113,12 +113,7 @@ def _seen_from(c: NDArray[np.float64], anchor: NDArray[np.float64], u: NDArray[n
 
 @jit
 def _by_rows(
-    capsules: NDArray[np.float64],
-    low_z: float,
-    high_z: float,
-    origin: float,
-    side: float,
-    rows: int,
+    capsules: NDArray[np.float64], low_z: float, high_z: float, origin: float, side: float, rows: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Start of the kernels of each row of bricks, `side` wide, in a list, and that list; each row is in order."""
     begin = np.zeros(rows + 1, np.int64)
@@ -304,14 +299,9 @@ def _resolve(
                         pores, row_pores, pores_from[row], pores_from[row + 1], *ends, pore_numbers, pore_list
                     )
                     tunnels_near = _list(
-                        tunnels,
-                        row_tunnels,
-                        tunnels_from[row],
-                        tunnels_from[row + 1],
-                        *ends,
-                        tunnel_numbers,
+                        tunnels, row_tunnels, tunnels_from[row], tunnels_from[row + 1], *ends, tunnel_numbers,
                         tunnel_list,
-                    )
+                    )  # fmt: skip
                 padded = (n + LANES - 1) // LANES * LANES
                 # a copy of the first sample fills the last vector; its sum is not used
                 for m in range(n, padded):

@@ -31,20 +31,11 @@ def _squared(squared_distance: np.float32) -> np.float32:
 
 @dataclass(frozen=True)
 class TunnelProfile:
-    """A kernel ``exp(-mu d^power)`` of the distance d (paper, eq. 1-2).
+    """A kernel ``exp(-mu d^power)`` of the distance d (paper, eq. 1-2); `mu` counts in 1 / length^power."""
 
-    Attributes
-    ----------
-    name : str
-        What configurations and stored pieces call it.
-    power : int
-        Power of the distance; `mu` counts in 1 / length^power.
-    exponent : callable
-        ``d^power`` of the squared distance, float32 to float32; compiled and inlined into the sum.
-    """
-
-    name: str
+    name: str  # what configurations and stored pieces call it
     power: int
+    # ``d^power`` of the squared distance, float32 to float32; compiled and inlined into the sum
     exponent: Callable[[np.float32], np.float32]
 
     def value(self, mu: NDArray[np.float64], squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -56,31 +47,16 @@ class TunnelProfile:
     def mu(self, radius: float, level: float, name: str = "tunnel radius") -> float:
         """Size parameter of the kernel that has the value `level` at `radius`: ``ln(1 / level) / radius^power``.
 
-        Raises
-        ------
-        DesignError
-            If the radius is not positive or the level lies outside (0, 1).
+        Raises DesignError if the radius is not positive or the level lies outside (0, 1).
         """
         return _log_of_level(level) / float(_positive(radius, name, "length") ** self.power)
 
     def radius(self, mu: float, level: float, name: str = "tunnel size parameter mu") -> float:
-        """Distance at which the kernel has the value `level`, the inverse of `mu`.
-
-        Raises
-        ------
-        DesignError
-            If mu is not positive or the level lies outside (0, 1).
-        """
+        """Distance at which the kernel has the value `level`, the inverse of `mu`, with the same errors."""
         return float(self.root(_log_of_level(level) / _positive(mu, name, self.unit)))
 
     def in_cell_units(self, mu: float, edge: float, name: str = "tunnel size parameter mu") -> float:
-        """`mu` for lengths counted in cell sizes: ``mu * edge^power``.
-
-        Raises
-        ------
-        DesignError
-            If mu or the edge is not positive.
-        """
+        """`mu` for lengths counted in cell sizes: ``mu * edge^power``; DesignError if either is not positive."""
         return _positive(mu, name, self.unit) * float(_positive(edge, "cell size", "length") ** self.power)
 
     def reach(self, mu: NDArray[np.float64] | float, cutoff: float = DEFAULT_CUTOFF) -> NDArray[np.float64]:
@@ -101,6 +77,7 @@ class TunnelProfile:
 
     def root(self, x: NDArray[np.float64] | float) -> NDArray[np.float64]:
         """``x^(1 / power)``, the distance at which ``d^power`` is x."""
+        # the built-in profiles need no general power
         if self.power == 1:
             return np.asarray(x)
         return np.sqrt(x) if self.power == 2 else np.asarray(x) ** (1.0 / self.power)
@@ -130,14 +107,9 @@ def omega_from_radius(radius: float, level: float) -> float:
 
 
 def check_cutoff(cutoff: float) -> float:
-    """The cut-off, after a check that it lies in [1e-12, 0.5].
+    """The cut-off; ValueError outside [1e-12, 0.5].
 
     Below 1e-12 nothing is gained (the sums are kept in float32) and the compiled exponential leaves its range.
-
-    Raises
-    ------
-    ValueError
-        If the cut-off lies outside.
     """
     if not 1e-12 <= cutoff <= 0.5:
         raise ValueError(f"the cut-off is {cutoff!r}, but it must lie between 1e-12 and 0.5")

@@ -165,25 +165,15 @@ def tunnel_rows(
     inverse: np.float32,
     nx: np.float32,
 ) -> None:
-    """Prepare sixteen rows through the capsule of a tunnel.
+    """Prepare sixteen rows through the capsule of a tunnel, and write them to `table` (TABLE,).
 
-    Parameters
-    ----------
-    table : (TABLE,) float32
-        Receives the rows. In the plane spanned by x and the segment a row is the line at a constant offset t; `across`
-        and `along` are the coordinates of its first sample in the frame of the segment, `rest` is the squared
-        distance of the row from that plane.
-    reach : float32
-        Radius of the capsule.
-    dy, step, dz : float32
-        Row i has the offset ``dy + i step``, `dz` from the start of the segment.
-    axis : (7,) float32
-        ux, ua, 1/ua, ny, nz, slanted, length: direction of the segment along x and across it,
-        ``ua = sqrt(uy^2 + uz^2)``, the unit vector (ny, nz) = (uy, uz) / ua, 1 where 1/ua is usable
-        (the segment is not parallel to x).
-    start, first, step_x, inverse, nx : float32
-        Sample `start` (an integer) lies at `first` from the start of the segment; spacing, its inverse, and the
-        number of samples of a row.
+    In the plane spanned by x and the segment a row is the line at a constant offset t; `across` and `along` are the
+    coordinates of its first sample in the frame of the segment, `rest` is the squared distance of the row from that
+    plane. `reach` is the radius of the capsule; row i has the offset ``dy + i step``, `dz` from the start of the
+    segment. `axis` is ux, ua, 1/ua, ny, nz, slanted, length: the direction of the segment along x and across it, ``ua =
+    sqrt(uy^2 + uz^2)``, the unit vector (ny, nz) = (uy, uz) / ua, and 1 where 1/ua is usable (the segment is not
+    parallel to x). Sample `start`, an integer, lies at `first` from the start of the segment; `inverse` is that of
+    `step_x`, and a row has `nx` samples.
     """
     ux = axis[0]
     ua = axis[1]

@@ -45,37 +45,21 @@ _MAX_STEPS = 8
 class Bounds(NamedTuple):
     """Steps and bounds by which samples are decided.
 
-    Attributes
-    ----------
-    steps : tuple of 3 ints
-        Samples from one coarse sample to the next along x, y, z.
-    solid, void : (8,) float32
-        Interpolated sums below which a sample is solid, and above which it is void; sample types are numbered by
-        1, 2, 4 for samples that lie between coarse ones along x, y, z.
+    Sample types are numbered by 1, 2, 4 for samples that lie between coarse ones along x, y, z.
     """
 
-    steps: tuple[int, int, int]
-    solid: NDArray[np.float32]
-    void: NDArray[np.float32]
+    steps: tuple[int, int, int]  # samples from one coarse sample to the next along x, y, z
+    solid: NDArray[np.float32]  # (8,) interpolated sums below which a sample is solid, by type
+    void: NDArray[np.float32]  # (8,) those above which it is void
 
 
 class Levels(NamedTuple):
-    """At which level a sum is cut: at one, or at one that is a function of place.
+    """At which level a sum is cut: at one, or at one that is a function of place."""
 
-    Attributes
-    ----------
-    mean : float
-        Sums that the bounds are compared with are G / C times this.
-    least, most : float
-        Levels that C does not go beyond.
-    slope : float
-        That of ln C along no axis exceeds this, 1 / unit of length.
-    """
-
-    mean: float
-    least: float
-    most: float
-    slope: float = 0.0
+    mean: float  # sums that the bounds are compared with are G / C times this
+    least: float  # C does not go below
+    most: float  # nor above
+    slope: float = 0.0  # that of ln C along no axis exceeds this, 1 / unit of length
 
 
 def one_level(level: float) -> Levels:
@@ -279,23 +263,10 @@ def decide_rows(
 ) -> None:
     """Decide the wanted samples of rows of layers by bounds: 1 solid, 0 void, 2 open; others are left as they are.
 
-    Parameters
-    ----------
-    coarse : (planes, cy, cx) float32
-        Sums on coarse layers and rows from the first ones on.
-    first_plane, first_row : int
-        Counted in coarse layers and rows of the whole grid.
-    steps, solid, void
-        Those of `Bounds`.
-    first_layer : int
-        Layer of the grid that is ``out[0]``.
-    row_start, row_stop : int
-    wanted : (layers, ny, 2) int32
-    out : (layers, ny, nx) uint8
-    open_from : (layers * (row_stop - row_start) + 1,) int64
-        Receives where the open samples of each row begin in `open_x`, and where they end.
-    open_x : (n,) int32
-        Receives which samples of a row are open; n exceeds the number of those that are wanted by 8.
+    `coarse` (planes, cy, cx) are sums on coarse layers and rows from `first_plane` and `first_row` on, counted in those
+    of the whole grid; layer `first_layer` of the grid is ``out[0]``, of (layers, ny, nx). `wanted` is (layers, ny, 2).
+    The open samples of each row begin in `open_x` at `open_from` (layers * (row_stop - row_start) + 1,); `open_x` is 8
+    longer than the number of those that are wanted.
     """
     sx, sy, sz = steps
     cx, cy, planes = coarse.shape[2], coarse.shape[1], coarse.shape[0]
@@ -319,17 +290,10 @@ def decide_rows(
             kind = 2 * int(wy > 0) + 4 * int(wz > 0)
             low, high = np.uint64(begin // sx), np.uint64((end - 1) // sx + 1)
             _mix(
-                coarse,
-                np.uint64(p),
-                np.uint64(p1 if wz > 0 else p),
-                np.uint64(q),
-                np.uint64(min(q + 1, cy - 1) if wy > 0 else q),
-                np.float32(wz / sz),
-                np.float32(wy / sy),
-                low,
-                min(high + np.uint64(1), np.uint64(cx)),
-                row,
-            )
+                coarse, np.uint64(p), np.uint64(p1 if wz > 0 else p), np.uint64(q),
+                np.uint64(min(q + 1, cy - 1) if wy > 0 else q), np.float32(wz / sz), np.float32(wy / sy), low,
+                min(high + np.uint64(1), np.uint64(cx)), row,
+            )  # fmt: skip
             for f in range(sx):
                 t = kind + int(f > 0)
                 _judge(row, low, high, np.float32(f / sx), solid[t], void[t], found[f])

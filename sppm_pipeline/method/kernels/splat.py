@@ -52,67 +52,35 @@ def add_kernels(
     first_layer: int = 0,
     wanted: NDArray[np.int32] | None = None,
 ) -> None:
-    """Add all kernels to the samples of a grid (paper, eq. 1-3).
+    """Add all kernels to the samples of a grid (paper, eq. 1-3), layers ``first_layer <= k < first_layer + nz``.
 
-    Parameters
-    ----------
-    out : (nz, ny, nx) float32, C-contiguous
-        Receives the sum; holds the layers ``first_layer <= k < first_layer + nz`` of the grid.
-    grid : Grid
-        The samples; spacings may differ from axis to axis. Same unit as the kernels.
-    kernels : Kernels
-        Pores and tunnels; tunnels of length zero are allowed.
-    cutoff : float
-        A kernel is dropped where its value is below the cut-off (some samples up to 15 spacings further out
-        along x still receive it).
-    threads : int
-        Number of threads; the result does not depend on it.
-    first_layer : int
-        Layer of the grid that is held by ``out[0]``. A layer's values do not depend on it.
-    wanted : (nz, ny, 2) int32, C-contiguous, optional
-        First sample of each row that matters and the one after the last; equal ones for a row that does not matter.
-        Samples beyond them hold parts of the sum or nothing; those between differ from the full sum by less than
-        the cut-off for each kernel that ends nearby, and by float32 rounding.
+    `out` (nz, ny, nx) is C-contiguous; grid and kernels are in one unit, spacings may differ from axis to axis, and
+    tunnels of length zero are allowed. A kernel is dropped below the cut-off (some samples up to 15 spacings further
+    out along x still receive it). `wanted` (nz, ny, 2) holds the first sample of each row that matters and the one
+    after the last: samples beyond them hold parts of the sum or nothing; those between differ from the full sum by less
+    than the cut-off for each kernel that ends nearby, and by float32 rounding. A layer's values depend neither on the
+    threads nor on `first_layer`.
 
-    Raises
-    ------
-    ValueError
-        If `out` does not fit the grid, the cut-off lies outside [1e-12, 0.5], or a kernel is not finite or has a
-        parameter that is not positive.
+    Raises ValueError if `out` does not fit the grid, the cut-off lies outside [1e-12, 0.5], or a kernel is not finite
+    or has a parameter that is not positive.
     """
     add_prepared(out, grid, prepared(kernels, grid, cutoff, first_layer, len(out)), threads, first_layer, wanted)
 
 
 class Prepared(NamedTuple):
-    """Kernels that reach some layers of a grid, as the compiled sums take them.
+    """Kernels that reach some layers of a grid, as the compiled sums take them."""
 
-    Attributes
-    ----------
-    points, tunnels : (n, columns) float64
-        In order, see `_packed` and `packed_capsules`.
-    profile : TunnelProfile
-    stretched : bool
-        Whether kernels have metrics.
-    cutoff : float
-    """
-
-    points: NDArray[np.float64]
+    points: NDArray[np.float64]  # (n, columns), in order, see `_packed` and `packed_capsules`
     tunnels: NDArray[np.float64]
     profile: TunnelProfile
-    stretched: bool
+    stretched: bool  # kernels have metrics
     cutoff: float
 
 
 def prepared(
     kernels: Kernels, grid: Grid, cutoff: float = DEFAULT_CUTOFF, first_layer: int = 0, layers: int | None = None
 ) -> Prepared:
-    """Arguments of `add_prepared` for some layers of a grid, all of them unless given.
-
-    Raises
-    ------
-    ValueError
-        If the cut-off lies outside [1e-12, 0.5], or a kernel is not finite or has a parameter that is not positive.
-    """
+    """Arguments of `add_prepared` for some layers of a grid, all of them unless given; errors as in `add_kernels`."""
     check_cutoff(cutoff)
     span = grid.layers(first_layer, first_layer + (grid.shape[2] if layers is None else layers))
     points, tunnels = _packed(kernels)
@@ -157,8 +125,7 @@ def add_prepared(
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
-    # Balance: at least four blocks a thread, as long as there are layers.
-    # blocks of layers are disjoint, so that threads never write to the same sample
+    # blocks of layers are disjoint, so that threads never write to the same sample; four a thread even out costs
     height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
 
     width = 0 if stretched else 2 * int(pore_reach / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
@@ -263,15 +230,9 @@ def _add_points(
             for y in range(y0, y1 + 1, LANES):
                 want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx)
                 point_rows(
-                    table,
-                    np.float32(reach),
-                    np.float32(dy + (y - y0) * step_y),
-                    np.float32(step_y),
-                    dz,
-                    center,
-                    np.float32(1.0 / step_x),
-                    np.float32(nx),
-                )
+                    table, np.float32(reach), np.float32(dy + (y - y0) * step_y), np.float32(step_y), dz, center,
+                    np.float32(1.0 / step_x), np.float32(nx),
+                )  # fmt: skip
                 offset = ((z - first_layer) * ny + y) * nx
                 add_gauss_rows(out, offset, nx, min(LANES, y1 + 1 - y), table, along_x, half - start)
 
@@ -333,18 +294,9 @@ def _add_tunnels(
             for y in range(y0, y1 + 1, LANES):
                 want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx)
                 tunnel_rows(
-                    table,
-                    np.float32(reach),
-                    np.float32(dy + (y - y0) * step_y),
-                    np.float32(step_y),
-                    dz,
-                    axis,
-                    np.float32(start),
-                    first,
-                    np.float32(step_x),
-                    np.float32(1.0 / step_x),
-                    np.float32(nx),
-                )
+                    table, np.float32(reach), np.float32(dy + (y - y0) * step_y), np.float32(step_y), dz, axis,
+                    np.float32(start), first, np.float32(step_x), np.float32(1.0 / step_x), np.float32(nx),
+                )  # fmt: skip
                 offset = ((z - first_layer) * ny + y) * nx
                 rows = min(LANES, y1 + 1 - y)
                 add_tunnel_rows(out, offset, nx, rows, table, axis, np.float32(step_x))

@@ -35,13 +35,10 @@ _COLUMNS = 19
 
 
 def packed_capsules(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pores and tunnels that reach a grid as rows for `stretched_adder`, in order; plain distances will do as well.
+    """Pores and tunnels that reach a grid as rows (n, 19) for `stretched_adder`, in order; also for plain distances.
 
-    Returns
-    -------
-    pores, tunnels : (n, 19) float64
-        Start x, y, z; U as xx, xy, xz, yy, yz, zz, scaled to powers of 2; direction and length of U (end - start); the
-        lowest x, y, z within reach, then the highest.
+    Columns: start x, y, z; U as xx, xy, xz, yy, yz, zz, scaled to powers of 2; direction and length of U (end - start);
+    the lowest x, y, z within reach, then the highest.
     """
     boxes = reach_boxes(kernels, cutoff)
     pore_scale, tunnel_scale = PORE_PROFILE.scale(kernels.omega), TUNNEL_PROFILES[kernels.profile].scale(kernels.mu)
@@ -75,6 +72,7 @@ def _packed(
         along = np.einsum("nij,nj->ni", root, along)
     length = np.sqrt((along**2).sum(axis=1))
     made[:, :3] = starts
+    # any direction will do for a length of zero
     made[:, 9] = 1.0
     np.divide(along, length[:, None], out=made[:, 9:12], where=length[:, None] > 0.0)
     made[:, 12] = length
@@ -170,15 +168,7 @@ def _add_stretched(
                 for i in range(rows):
                     dy = origin[1] + (y + i) * spacing[1] - c[1]
                     _capsule_row(
-                        table,
-                        i,
-                        reach,
-                        c[3] * dx + c[4] * dy + c[5] * dz,
-                        c[6] * dy + c[7] * dz,
-                        c[8] * dz,
-                        axis,
-                        step,
-                        float(start),
-                        np.float32(nx),
-                    )
+                        table, i, reach, c[3] * dx + c[4] * dy + c[5] * dz, c[6] * dy + c[7] * dz, c[8] * dz, axis,
+                        step, float(start), np.float32(nx),
+                    )  # fmt: skip
                 add_tunnel_rows(out, ((z - first_layer) * ny + y) * nx, nx, rows, table, axis, np.float32(step))

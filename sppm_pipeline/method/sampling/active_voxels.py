@@ -71,18 +71,8 @@ def throw_darts(
 ) -> int:
     """Throw up to `budget` darts into a box until `wanted` of them were kept; return how many were.
 
-    Parameters
-    ----------
-    cells : CellList
-        Points to keep away from; kept darts are added.
-    stream : (1,) uint64
-        Random stream; advanced.
-    lower, side : (3,)
-        Lower corner and edges of the box; a zero edge makes it a plane.
-    wanted, budget : int
-        Points to add, and darts allowed.
-    family, member : int
-        Labels of the new points.
+    Kept darts are added to `cells` with the labels `family` and `member`; `stream` (1,) is advanced. A zero edge in
+    `side` (3,) makes the box a plane.
     """
     edge = (side[0], side[1], side[2])
     placed = 0
@@ -115,8 +105,7 @@ def fill_active_voxels(
     for axis in range(3):
         if side[axis] > 0.0:
             dimension += 1
-    # A voxel with this edge is wholly covered by a point inside it.
-    # the diagonal of such a voxel is the spacing
+    # the diagonal of a voxel with this edge is the spacing: a point inside it covers all of it
     coarsest = cells.reach / np.sqrt(max(1.0, float(dimension)))
     parts = np.ones(3, dtype=np.int64)
     edge = np.zeros(3)

@@ -4,7 +4,7 @@ Every block gets a given number of pores, uniform in the block but for the spaci
 Blocks have colors such that no two neighbors share one. They are thrown color after color, each by a random stream of
 its own, made from the seed and the place of the block, so that neither threads nor the order of the blocks of a color
 enter the result. A block then depends only on neighbors of earlier colors: with the order below on at most 4, 2 and 1
-blocks along x, y and z (`needed_blocks` returns them), whatever the size of the lattice.
+blocks along x, y and z, whatever the size of the lattice.
 
 Rules are those of `darts.throw`: plain darts up to 75 % of the capacity, then darts into active voxels.
 
@@ -29,7 +29,7 @@ from sppm_pipeline.method.sampling.capacity import box_capacity, check_capacity,
 from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_cell_list, next_uniform
 from sppm_pipeline.method.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE
 from sppm_pipeline.method.sampling.graded_blocks import NODES, density_means, is_free, metric_at, value_at
-from sppm_pipeline.method.tiling.lattice import INTERIOR, dilated, hash_places
+from sppm_pipeline.method.tiling.lattice import INTERIOR, hash_places
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import determinants, semi_axes
 from sppm_pipeline.services.threads import ordered_map
@@ -47,12 +47,8 @@ _BLOCK_PORE = 0
 def block_colors(shape: tuple[int, int, int], periodic: bool = False) -> NDArray[np.int8]:
     """Colors of the blocks of a lattice, (nx, ny, nz), from 0 on in the order in which they are thrown.
 
-    Parameters
-    ----------
-    shape : 3 ints
-    periodic : bool
-        Whether the lattice repeats. Along an axis with an odd number of blocks the last one then is neither even nor
-        odd, which takes more than eight colors.
+    Along an axis that repeats after an odd number of blocks the last one is neither even nor odd, which takes more than
+    eight colors.
     """
     rank = np.zeros((3, 3, 3), np.int8)
     later = [parities for parities in itertools.product(range(3), repeat=3) if 2 in parities]
@@ -65,28 +61,12 @@ def block_colors(shape: tuple[int, int, int], periodic: bool = False) -> NDArray
     return rank[np.ix_(*parity)]
 
 
-def needed_blocks(wanted: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool_]:
-    """The blocks that have to be thrown for the wanted ones: those, and what they depend on, (nx, ny, nz) bool."""
-    colors = block_colors(wanted.shape, periodic)
-    needed = np.array(wanted, np.bool_)
-    for color in range(int(colors.max()), 0, -1):
-        needed |= dilated(needed & (colors == color), periodic) & (colors < color)
-    return needed
-
-
 def block_quotas(mask: NDArray[np.bool_], mean: float, density: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
     """Numbers of pores of the blocks, (nx, ny, nz): whole, `mean` on average, the rest carried on in the order z, y, x.
 
-    Without a density the carry belongs to the place in the lattice alone, so that the quota of a block does not depend
-    on the mask.
-
-    Parameters
-    ----------
-    mask : (nx, ny, nz) bool
-    mean : float
-        Pores of a block, or of one where the density is 1.
-    density : (NODES nx + 1, NODES ny + 1, NODES nz + 1) float64, optional
-        At the nodes; a block gets its integral.
+    With a `density` (NODES nx + 1, NODES ny + 1, NODES nz + 1), `mean` is that of a block where the density is 1, and a
+    block gets its integral. Without one the carry belongs to the place in the lattice alone, so that the quota of a
+    block does not depend on the mask.
     """
     if density is None:
         ends = mean * np.arange(mask.size + 1, dtype=np.float64)
@@ -98,13 +78,7 @@ def block_quotas(mask: NDArray[np.bool_], mean: float, density: NDArray[np.float
 
 
 def check_block_spacing(mean: float, spacing: float) -> None:
-    """Check that blocks can hold `mean` pores each.
-
-    Raises
-    ------
-    DesignError
-        If the spacing is longer than a block, or the number above the capacity.
-    """
+    """Raise DesignError if the spacing is longer than a block, or `mean` pores are above the capacity of one."""
     if not 0.0 < spacing <= 1.0:
         raise DesignError(
             f"the pore spacing is {spacing:.6g} cell sizes; scattered pores need more than 0 and at most 1",
@@ -129,39 +103,15 @@ def throw_blocks(
     before: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None,
     threads: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Throw the pores of a lattice of blocks.
+    """Throw `quotas` (nx, ny, nz) pores into the blocks of a lattice; the result does not depend on the threads.
 
-    Parameters
-    ----------
-    seed : int
-        Taken modulo 2^64.
-    quotas : (nx, ny, nz) int64
-        Pores of each block.
-    spacing : float
-        Smallest distance of two pores, block edges; at most 1. With a density that where it is 1; elsewhere it
-        scales with density^(-1/3).
-    periodic : bool
-        Whether the lattice repeats; only without a density.
-    density : (NODES nx + 1, NODES ny + 1, NODES nz + 1) float64, optional
-        At the nodes (`graded_blocks`); positive.
-    metric : (NODES nx + 1, ..., 6) float64, optional
-        At the nodes, see `services.metric`; only with a density.
-    before : ((k, 3) float64, (blocks + 1,) int64), optional
-        Pores that are there already, in the form of the result.
-    threads : int
-        Number of threads; the result does not depend on it.
+    Two pores keep `spacing` block edges, at most 1; with a `density` > 0 at the nodes of `graded_blocks`, which is not
+    for a lattice that repeats, ``spacing density^(-1/3)``. A `metric` (..., 6) at the nodes (`services.metric`) needs
+    a density. Pores `before` have the form of the result: centers (n, 3), relative to the low corner of the block
+    in block edges, blocks in C order of (x, y, z); and where those of each block begin, (blocks + 1,). `seed` is taken
+    modulo 2^64.
 
-    Returns
-    -------
-    centers : (n, 3) float64
-        Relative to the low corner of the block, in block edges; blocks in C order of (x, y, z).
-    first : (blocks + 1,) int64
-        Where the pores of each block begin.
-
-    Raises
-    ------
-    DesignError
-        If the spacing is longer than a block somewhere, or a block holds fewer pores than its quota.
+    Raises DesignError if the spacing is longer than a block somewhere, or a block holds fewer pores than its quota.
     """
     quotas = np.ascontiguousarray(quotas, np.int64)
     shape, graded = quotas.shape, density is not None
@@ -193,8 +143,8 @@ def throw_blocks(
     # an axis along which the only block is its own neighbor repeats inside the cell list
     wraps = np.array([periodic and n == 1 for n in shape])
     most = int((quotas.ravel() + np.diff(old[1])).max(initial=0))
-    # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
-    # memory for one block and what lies around it, however large the lattice
+    # memory for one block and what lies around it within the widest spacing, however large the lattice; no packing of
+    # balls is denser than pi / sqrt(18)
     rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
     naive = math.inf if graded else NAIVE_SHARE * box_capacity(1.0, spacing, True)
     missing = np.zeros(quotas.size, np.int64)

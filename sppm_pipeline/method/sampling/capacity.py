@@ -50,21 +50,11 @@ def _as_flags(periodic: bool | Sequence[bool], dimension: int) -> tuple[bool, ..
 
 
 def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool | Sequence[bool] = False) -> float:
-    """Mean number of pores of a saturated box, 0.7336 prod((a_i + 0.64 l) / l).
+    """Mean number of pores of a saturated box, 0.7336 prod((a_i + 0.64 l) / l), for the spacing l of centers.
 
-    Parameters
-    ----------
-    side : float or 3 floats
-        Edges a_i of the box in which the centers lie, in cell sizes; zero edges make it a plane or a line.
-    spacing : float
-        Smallest distance l of two centers; 0 gives infinity.
-    periodic : bool or 3 bools
-        Axes of period 1: their factor is min(a_i + 0.64 l, 1) / l.
-
-    Returns
-    -------
-    float
-        The capacity; at least 1, or 0 where a pore would be too near its own image.
+    The edges a_i, in cell sizes, are those of the box of the centers; zero edges make it a plane or a line. Periodic
+    axes have the factor min(a_i + 0.64 l, 1) / l. At least 1, 0 where a pore would be too near its own image, and
+    infinite if l is 0.
     """
     sides = (float(side),) * 3 if isinstance(side, int | float) else tuple(float(a) for a in side)
     if len(sides) != 3:
@@ -76,17 +66,9 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     """Mean number of pores of one face pattern when the mirrored patterns of all three axes are saturated together.
 
     A fit, 0.6966 ((1 - e l) / l)^2, to measured saturation of patterns thrown in turn (`mirrored_faces`): within 6 %
-    for spacings up to 1/3. The loss e grows from 0.46 (one color, no margin) to 0.60, 0.62, 0.66 (2, 3, 8 colors,
-    margin l/2), because the faces around a cell edge press on each other; past a margin of 0.71 l they no longer do.
-
-    Parameters
-    ----------
-    spacing : float
-        Smallest distance l of two pores, cell sizes; positive.
-    colors : int
-        Number of face colors.
-    margin : float, optional
-        Distance kept from the border of the face; default 0 for one color, otherwise half the spacing.
+    for spacings l up to 1/3 cell sizes. The loss e grows from 0.46 (one color, no margin) to 0.60, 0.62, 0.66 (2, 3, 8
+    colors, margin l/2), because the faces around a cell edge press on each other; past a margin of 0.71 l they no
+    longer do. The margin from the border is 0 for one color and l/2 otherwise if omitted.
     """
     if spacing <= 0.0 or colors < 1:
         raise ValueError(f"spacing and colors must be positive, got {spacing}, {colors}")
@@ -143,17 +125,8 @@ def check_capacity(
 ) -> float:
     """Refuse a count above 100 % of the capacity (rounded up, since the capacity is a mean); return the packing share.
 
-    Parameters
-    ----------
-    count, spacing, sides, periodic
-        As in `largest_spacing`.
-    what : str
-        The region's name in the message.
-
-    Raises
-    ------
-    DesignError
-        Naming the count, the capacity and the largest spacing at which the count fits.
+    Raises DesignError, which names the count, the capacity of the `what`, and the largest spacing at which the count
+    fits.
     """
     flags = _as_flags(periodic, len(sides))
     capacity = _region_capacity(sides, spacing, flags)

@@ -66,24 +66,12 @@ class CellList(NamedTuple):
 
 
 def empty_cell_list(
-    capacity: int,
-    spacing: float,
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    periodic: Sequence[bool],
+    capacity: int, spacing: float, lower: NDArray[np.float64], upper: NDArray[np.float64], periodic: Sequence[bool]
 ) -> CellList:
     """A cell list for `capacity` points, covering the box and, along axes that are not periodic, one spacing around it.
 
-    Parameters
-    ----------
-    capacity : int
-        Most points that will ever be added.
-    spacing : float
-        Distance to be kept; at most 1 when an axis is periodic.
-    lower, upper : (3,)
-        Corners of the box in which spots will be asked for.
-    periodic : 3 bools
-        Axes of period 1.
+    The spacing is the distance to be kept, at most 1 when an axis is periodic (period 1); spots are asked for between
+    `lower` and `upper` only.
     """
     wraps = np.asarray(periodic, dtype=np.bool_)
     reach = spacing + _ROUNDING
@@ -96,17 +84,12 @@ def empty_cell_list(
         size *= 1.25
     shape = np.maximum(1, (extent / size).astype(np.int64))
     return CellList(
-        points=np.empty((capacity, 3)),
-        family=np.zeros(capacity, dtype=np.int64),
-        member=np.zeros(capacity, dtype=np.int64),
-        following=np.full(capacity, -1, dtype=np.int64),
+        points=np.empty((capacity, 3)), family=np.zeros(capacity, dtype=np.int64),
+        member=np.zeros(capacity, dtype=np.int64), following=np.full(capacity, -1, dtype=np.int64),
         first=np.full((int(shape[2]), int(shape[1]), int(shape[0])), -1, dtype=np.int64),
-        used=np.zeros(1, dtype=np.int64),
-        origin=origin,
-        width=extent / shape,
-        period=np.where(wraps, 1.0, np.inf),
+        used=np.zeros(1, dtype=np.int64), origin=origin, width=extent / shape, period=np.where(wraps, 1.0, np.inf),
         reach=float(reach),
-    )
+    )  # fmt: skip
 
 
 @jit
@@ -201,11 +184,7 @@ def wrapped(index: int, count: int) -> int:
 
 @jit
 def is_free(
-    cells: CellList,
-    spot: tuple[float, float, float],
-    half: tuple[float, float, float],
-    family: int,
-    member: int,
+    cells: CellList, spot: tuple[float, float, float], half: tuple[float, float, float], family: int, member: int
 ) -> bool:
     """True if no point covers the whole voxel centered at `spot` with half edges `half` (zeros: is the spot free).
 

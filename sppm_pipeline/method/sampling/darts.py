@@ -118,18 +118,11 @@ def throw(
 
 
 def wanted_pores(
-    count: int | None,
-    share: float | None,
-    spacing: float,
-    side: NDArray[np.float64],
-    wraps: Sequence[bool],
+    count: int | None, share: float | None, spacing: float, side: NDArray[np.float64], wraps: Sequence[bool]
 ) -> tuple[int, int, float]:
     """Number of pores to throw, the number of rows that certainly holds them, and the capacity of the box.
 
-    Raises
-    ------
-    DesignError
-        If the spacing or the share is out of range, or the count above the capacity.
+    Raises DesignError if the spacing or the share is out of range, or the count above the capacity.
     """
     if not 0.0 <= spacing < math.inf:
         raise DesignError(f"the pore spacing must be a number >= 0, got {spacing}")

@@ -75,14 +75,7 @@ a million pores."""
 def homogeneous_counts(total: float, spacing: float, met: int = 1) -> tuple[float, float]:
     """Pores of one cell inside its three faces, and on its edges and its corner, in the mean.
 
-    Parameters
-    ----------
-    total : float
-        Pores of one cell.
-    spacing : float
-        Cell sizes.
-    met : int
-        Patterns that an interior may meet on one side.
+    `total` are the pores of a cell, `met` the patterns that an interior may meet on one side; equations in the module.
     """
     inside = 3.0 * ON_FACE * met**MET * total * spacing * max(0.0, 1.0 - STRIP * spacing) ** 2
     # a face without any pore would part the cells on its sides
@@ -93,25 +86,11 @@ def homogeneous_counts(total: float, spacing: float, met: int = 1) -> tuple[floa
 def homogeneous_design(
     *, total: int | None, face_count: int | None, spacing: float | None, share: float | None, met: int = 1
 ) -> tuple[float, float]:
-    """Number of pores of a cell and their spacing, from two of a number of pores, the spacing and the share.
+    """Number of pores of a cell and their spacing (cell sizes), from two of a number, the spacing and the share.
 
-    Parameters
-    ----------
-    total : int or None
-        Pores of one cell.
-    face_count : int or None
-        Those on its faces, edges and corner alone, each counted once, instead of `total`.
-    spacing : float or None
-        Cell sizes.
-    share : float or None
-        Pores as a share of the packing limit.
-    met : int
-        Patterns that an interior may meet on one side.
-
-    Raises
-    ------
-    DesignError
-        If no spacing below half a cell gives that packing.
+    `face_count` are pores on the faces, edges and corner alone, each counted once, instead of `total`; `share` is of
+    the packing limit, `met` the patterns that an interior may meet on one side. Raises DesignError if no spacing below
+    half a cell gives that packing.
     """
 
     def in_cell(l: float) -> float:  # noqa: E741 - the paper's letter
@@ -149,14 +128,7 @@ def homogeneous_design(
 
 
 def edge_sites(rng: np.random.Generator, spacing: float) -> NDArray[np.float64]:
-    """Sites of an edge from 0 to 1, (m,) float64, ascending; the first is the corner at 0.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    spacing : float
-        Smallest distance of two pores, cell sizes; in (0, 1].
-    """
+    """Sites of an edge from 0 to 1, (m,) float64, ascending, for a spacing in (0, 1]; the first is the corner at 0."""
     number = intervals(spacing)
     spare = 1.0 - number * spacing
     # where even equal intervals are wider than the widest, any will do: faces keep half a spacing from the border
@@ -179,15 +151,7 @@ def edge_sites(rng: np.random.Generator, spacing: float) -> NDArray[np.float64]:
 
 
 def chosen_sites(rng: np.random.Generator, sites: int, colors: int, share: float) -> NDArray[np.bool_]:
-    """Which sites carry a pore in each color, (colors, sites): a share of all, spread as evenly as possible.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    sites, colors : int
-    share : float
-        Of the sites that carry a pore, 0..1.
-    """
+    """Mask (colors, sites) of the sites that carry a pore in each color: a share of all, as even as possible."""
     steps = np.floor(np.arange(sites * colors + 1) * share + rng.random())
     return rng.permuted(np.diff(steps).astype(bool).reshape(sites, colors), axis=1).T
 
@@ -205,34 +169,13 @@ def homogeneous_faces(
 ) -> list[list[NDArray[np.float64]]]:
     """Throw the pores of all face patterns, with those of the edges and corners that they own.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    total : float
-        Pores of one cell.
-    spacing : float
-        Smallest distance of two pores, cell sizes; in (0, 1].
-    colors : tuple of 3 ints
-        Number of patterns perpendicular to x, y, z.
-    face_count : int, optional
-        Pores on the faces, edges and corner of one cell, instead of as many as make it homogeneous.
-    met : int
-        Patterns that an interior may meet on one side.
-    totals : 3 arrays (colors,), optional
-        Pores of a cell for each pattern, which gets as many as a face of such a cell. Sites stay those of `spacing`.
-    threads : int
-        Number of threads; the result does not depend on it.
+    `total` are the pores of one cell, `colors` the numbers of patterns perpendicular to x, y, z, and `met` the patterns
+    that an interior may meet on one side. `face_count` replaces the number of pores on faces, edges and corner that
+    makes a cell homogeneous. With `totals`, 3 arrays (colors,), each pattern gets as many pores as a face of a cell
+    with that total; sites stay those of `spacing`, in (0, 1] cell sizes. The result does not depend on the threads.
 
-    Returns
-    -------
-    list over axis (3) of list over color of (n, 3) float64
-        Positions in cell sizes; the coordinate along the pattern's axis is 0. Pores with two or three zeros lie on
-        edges and corners, and come first.
-
-    Raises
-    ------
-    DesignError
-        If the faces do not hold their number of pores.
+    Returns, by axis and color, (n, 3) positions in cell sizes with 0 along the pattern's axis; pores with two or three
+    zeros lie on edges and corners, and come first. Raises DesignError if the faces do not hold their number of pores.
     """
     if not 0.0 < spacing < 1.0:
         raise DesignError(f"the spacing of face pores must lie in (0, 1) cell sizes, got {spacing}")

@@ -132,23 +132,10 @@ def elimination_order(
     *,
     periodic: Sequence[bool] = (False, False, False),
 ) -> NDArray[np.int64]:
-    """Remove the point with the largest weight, again and again, until `count` points are left.
+    """Remove the point with the largest weight, again and again, until `count` of the points (m, 3) are left.
 
-    Parameters
-    ----------
-    points : (m, 3)
-        Points inside the box, cell sizes.
-    count : int
-        Number of points to leave; at most m.
-    lower, upper : (3,)
-        Corners of the box, cell sizes; equal coordinates along an axis mean a plane or a line.
-    periodic : 3 bools
-        Axes of period 1.
-
-    Returns
-    -------
-    (m,) int64
-        Rows of `points`: the `count` that are left, ascending, then those taken away, the last one first.
+    Returns rows of `points`, (m,): the `count` that are left, ascending, then those taken away, the last one first.
+    Equal coordinates of `lower` and `upper` along an axis mean a plane or a line; periodic axes have period 1.
     """
     candidates = np.ascontiguousarray(points, dtype=np.float64)
     low = np.ascontiguousarray(lower, dtype=np.float64)
@@ -181,31 +168,12 @@ def eliminate(
     periodic: Sequence[bool] = (False, False, False),
     oversampling: float = 5.0,
 ) -> NDArray[np.float64]:
-    """Exactly `count` points with a spacing as large as sample elimination makes it (some 0.7 of the densest
-    packing's).
+    """Exactly `count` points with a spacing as large as elimination makes it, some 0.7 of the densest packing's.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    count : int
-        Number of points.
-    lower, upper : (3,)
-        Corners of the box, cell sizes; equal coordinates along an axis give points in a plane or on a line.
-    periodic : 3 bools
-        Axes of period 1. Along the others points gather at the walls, as nothing outside adds weight.
-    oversampling : float
-        Random points to start from, as a multiple of `count`; at least 1.
-
-    Returns
-    -------
-    (count, 3) float64
-        Positions in cell sizes, in no meaningful order.
-
-    Raises
-    ------
-    DesignError
-        For a negative count or an oversampling below 1.
+    Starts from ``oversampling * count`` random points, at least 1 times. Equal coordinates of `lower` and `upper` along
+    an axis give points in a plane or on a line. Along axes that are not periodic (period 1) points gather at the walls,
+    as nothing outside adds weight. Returns (count, 3), cell sizes, in no meaningful order; raises DesignError for a
+    negative count or an oversampling below 1.
     """
     if count < 0 or not 1.0 <= oversampling < math.inf:
         raise DesignError(f"need count >= 0 and oversampling >= 1, got {count} and {oversampling}")

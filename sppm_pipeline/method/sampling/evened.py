@@ -62,39 +62,15 @@ def even_out(
     spacing: float,
     threads: int = 1,
 ) -> tuple[NDArray[np.float64], float]:
-    """Move points until their structure factor is small at long waves.
+    """Move the points that may (`moves`) until their structure factor is small at long waves.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        In cell sizes; the low corner of block (x, y, z) of the lattice is there. They keep the spacing.
-    moves : (n,) bool
-        Which may move.
-    room : (nx, ny, nz) bool
-        Blocks that points may move to.
-    periodic : bool
-        Whether the lattice repeats.
-    density : float
-        Points of a block.
-    stealth : float
-        Waves up to K over the coordinates of the points, `stealthy` calls it chi.
-    spacing : float
-        Smallest distance to keep, cell sizes.
-    threads : int
-        The result does not depend on it.
+    Points (n, 3) are in cell sizes from the low corner of the lattice, keep the spacing, and stay in the blocks `room`
+    (nx, ny, nz); `density` is their number per block. `stealth` is the number of waves up to K over that of
+    coordinates, `stealthy` calls it chi. The result does not depend on the threads.
 
-    Returns
-    -------
-    points : (n, 3) float64
-        In the order given; in a lattice that repeats from 0 to its period.
-    structure_factor : float
-        Mean over the waves, weighted by the transform of the potential; of a lattice that repeats, as others lack
-        neighbors at their rim. NaN if nothing moves.
-
-    Raises
-    ------
-    DesignError
-        If points can't be moved as far apart as the spacing.
+    Returns the points in the order given, from 0 to the period in a lattice that repeats, and the mean of S(k) weighted
+    by the transform of the potential: that of a lattice that repeats, as others lack neighbors at their rim, and NaN if
+    nothing moves. Raises DesignError if points can't be moved as far apart as the spacing.
     """
     if not moves.any():
         return points, math.nan

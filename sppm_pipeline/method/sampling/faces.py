@@ -33,34 +33,12 @@ FILLED = 0.95
 def split_between_faces_and_interior(
     *, total: int | None, face_count: int | None, spacing: float | None, share: float | None, colors: int
 ) -> tuple[int, float]:
-    """Number of face pores of a cell and spacing, at equal packing of faces and interior.
+    """Number of face pores of a cell and spacing (cell sizes), at equal packing of faces and interior.
 
     The interior is taken to begin half a spacing away from the faces and to keep the spacing from their pores. Two of
-    the number of pores, the spacing and the share have to be given.
-
-    Parameters
-    ----------
-    total : int or None
-        Pores of a cell, three faces counted once each.
-    face_count : int or None
-        Pores on the three faces alone, instead of `total`.
-    spacing : float or None
-        Cell sizes.
-    share : float or None
-        Pores as a share of the packing limit.
-    colors : int
-        Number of face colors.
-
-    Returns
-    -------
-    face_count : int
-    spacing : float
-        Cell sizes.
-
-    Raises
-    ------
-    DesignError
-        If no spacing below half a cell gives that packing.
+    the number of pores, the spacing and the share of the packing limit have to be given; the number is `total`, three
+    faces counted once each, or `face_count`, on the faces alone. Raises DesignError if no spacing below half a cell
+    gives that packing.
     """
 
     def on_faces(l: float) -> float:  # noqa: E741 - the paper's letter
@@ -113,10 +91,7 @@ def face_counts(total: int, colors: int) -> NDArray[np.int64]:
 
 @jit
 def throw_in_turn(
-    cells: CellList,
-    stream: NDArray[np.uint64],
-    margin: float,
-    wanted: NDArray[np.int64],
+    cells: CellList, stream: NDArray[np.uint64], margin: float, wanted: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Throw the patterns pore by pore; return how many of the `wanted` (3, colors) pores each one got.
 
@@ -169,37 +144,15 @@ def mirrored_faces(
 ) -> list[list[NDArray[np.float64]]]:
     """Throw the pore patterns of the faces of a cell, or of a set of cells with colored faces.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness; one 64-bit number is drawn.
-    count_per_face : int or None
-        Pores of each pattern; None when `total` is given.
-    spacing : float
-        Smallest distance of two pores, cell sizes; in (0, 1].
-    colors : int
-        Number of face colors.
-    margin : float, optional
-        Distance kept from the border of the face square, cell sizes, below 1/2. Default 0 for one color, where the
-        pattern repeats in its plane, and half the spacing for several, the least that keeps faces of different colors
-        apart.
-    total : int, optional
-        Pores of the three faces of a cell together, spread by `face_counts`.
-    attempts : int
-        How often all patterns are thrown again when one was full before its count was reached.
+    The counts are `count_per_face` for each pattern, or `total` for the three faces of a cell, spread by `face_counts`.
+    Patterns keep `margin` < 1/2 from the border of the face: 0 by default for one color, where the pattern repeats in
+    its plane, and half the spacing for several, the least that keeps faces of different colors apart (ValueError
+    below). One 64-bit number is drawn from `rng`; all patterns are thrown again up to `attempts` times when one is
+    full.
 
-    Returns
-    -------
-    list over axis (3) of list over color of (count, 3) float64
-        Positions in cell sizes; the coordinate along the pattern's axis is 0.
-
-    Raises
-    ------
-    DesignError
-        When the counts exceed the capacity of a face, or were reached in none of the attempts; the best total and
-        a realistic spacing are named.
-    ValueError
-        For a margin below half the spacing with several colors, or outside [0, 1/2).
+    Returns, by axis and color, (count, 3) positions in cell sizes with 0 along the pattern's axis. Raises DesignError
+    when the counts exceed the capacity of a face or were reached in no attempt, with the best total and a realistic
+    spacing.
     """
     if (count_per_face is None) == (total is None):
         raise ValueError("give either count_per_face or total")

@@ -72,31 +72,12 @@ def throw_many(
     attempts: int = 20,
     threads: int = 1,
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Throw pores into many boxes that do not repeat.
+    """Throw pores into many boxes that do not repeat; arguments and errors as in `throw`, for all boxes.
 
-    Parameters
-    ----------
-    streams : (boxes,) uint64
-        The number that `throw` draws from its generator, of each box.
-    count, spacing, lower, upper, obstacle_images, share, attempts
-        As in `throw`, for all boxes.
-    around : Surrounding
-        Pores to keep the spacing from, in each box others, listed completely.
-    obstacles : (k, 3) float64 or None
-        Pores to keep the spacing from in all boxes, which may repeat by `obstacle_images`.
-    threads : int
-
-    Yields
-    ------
-    centers : (n, 3) float64
-        Pores of the next boxes, box after box, in the order of throwing.
-    counts : (q,) int64
-        Pores of each of these boxes; -1 for one that is left to `throw`.
-
-    Raises
-    ------
-    DesignError
-        When the count is above the capacity.
+    `streams` (boxes,) are the numbers that `throw` draws from its generator. Each box keeps the spacing from pores of
+    its own, `around`, listed completely, and from common `obstacles` (k, 3), which may repeat by `obstacle_images`.
+    Yields the pores (n, 3) of the next boxes, box after box, in the order of throwing, and their numbers (q,): -1 for a
+    box that is left to `throw`.
     """
     low, side, wraps = np.array(lower), upper - lower, (False,) * 3
     wanted, rows, capacity = wanted_pores(count, share, spacing, side, wraps)
@@ -199,28 +180,10 @@ def patterns_apart(
     obstacles: NDArray[np.float64] | None = None,
     threads: int = 1,
 ) -> list[NDArray[np.float64]]:
-    """Face patterns that need not look at each other, each as `throw` makes it.
+    """Face patterns, (wanted, 3) each, that need not look at each other, each as `throw` makes it.
 
-    Parameters
-    ----------
-    streams : (n,) uint64
-        The number that `throw` draws, of each.
-    wanted : (n,) int64
-        Pores of each.
-    spacing, lower, upper
-        As in `throw`, for all.
-    obstacles : (k, 3), optional
-        Pores that all keep away from, repeated in every cell.
-    threads : int
-
-    Returns
-    -------
-    list of (wanted, 3) float64
-
-    Raises
-    ------
-    DesignError
-        When one of them holds fewer pores.
+    `streams` (n,) are the numbers that `throw` draws; `obstacles` (k, 3) repeat in every cell. Raises DesignError when
+    a pattern holds fewer pores than its `wanted` (n,).
     """
     around = np.zeros((0, 3)) if obstacles is None else obstacles
 

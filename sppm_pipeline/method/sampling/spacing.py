@@ -10,19 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True, True)) -> NDArray[np.float64]:
-    """Distance of each point to its nearest neighbor, images included.
+    """Distance of each point to its nearest neighbor, (n,) in cell sizes; infinite for a single point without images.
 
-    Parameters
-    ----------
-    points : (n, 3)
-        Positions, cell sizes.
-    periodic : 3 bools
-        Axes of period 1; a point's own images, at distance 1, are neighbors, too.
-
-    Returns
-    -------
-    (n,) float64
-        Distances in cell sizes, in the order of `points`; infinite for a single point without images.
+    Periodic axes have period 1; a point's own images, at distance 1, are neighbors, too.
     """
     from scipy.spatial import cKDTree
 

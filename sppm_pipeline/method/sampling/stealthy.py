@@ -30,9 +30,6 @@ from sppm_pipeline.services.jit.compiled import inline_jit, jit
 TOLERANCE = 1e-12
 """Structure factor that counts as none: some thousand roundings of a sum of a hundred pores."""
 
-MAX_STEALTH = 0.5
-"""Share of the coordinates beyond which points crystallize in three dimensions."""
-
 _STEPS, _STARTS = 5000, 30
 _STUCK = 1e-5
 """Slope along the step over energy, below which a minimum above zero is near; on the way to zero it is about 2."""
@@ -42,28 +39,14 @@ _MARGIN = 3e-6
 
 
 class Surroundings(NamedTuple):
-    """Box that points are moved in, and the points that do not move.
+    """Box that points are moved in, and the points that do not move."""
 
-    Attributes
-    ----------
-    lower, upper : (3,) float64
-        Corners of the box that points are kept in; not looked at in a periodic cell.
-    periodic : bool
-        Whether the box is the whole cell.
-    fixed : (m, 3) float64
-        Points that do not move and are seen by the waves: those on the faces, once for the whole cell.
-    weight : (m,) float64
-        In which share of the cells they stand.
-    obstacles : (k, 3) float64
-        Points that the spacing is kept from, images included.
-    """
-
-    lower: NDArray[np.float64]
+    lower: NDArray[np.float64]  # (3,) corners of the box that points are kept in; not looked at in a periodic cell
     upper: NDArray[np.float64]
-    periodic: bool
-    fixed: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    obstacles: NDArray[np.float64]
+    periodic: bool  # the box is the whole cell
+    fixed: NDArray[np.float64]  # (m, 3) points on the faces, seen by the waves, once for the whole cell
+    weight: NDArray[np.float64]  # (m,) share of the cells that they stand in
+    obstacles: NDArray[np.float64]  # (k, 3) points that the spacing is kept from, images included
 
 
 FREE = Surroundings(np.zeros(3), np.ones(3), True, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
@@ -73,10 +56,7 @@ FREE = Surroundings(np.zeros(3), np.ones(3), True, np.zeros((0, 3)), np.zeros(0)
 def stealthy_waves(count: int, stealth: float) -> Waves:
     """The waves that `count` points are hidden from: the longest, in whole shells, at most ``3 (count - 1) stealth``.
 
-    Raises
-    ------
-    DesignError
-        If that is less than the first shell.
+    Raises DesignError if that is less than the first shell.
     """
     waves = longest_waves(int(stealth * 3 * max(count - 1, 0)))
     if not waves.number:
@@ -90,29 +70,10 @@ def stealthy_waves(count: int, stealth: float) -> Waves:
 def throw_stealthy(
     rng: np.random.Generator, count: int, waves: Waves, spacing: float = 0.0, around: Surroundings = FREE
 ) -> NDArray[np.float64]:
-    """Points that are hidden from `waves` and keep a spacing.
+    """`count` points, (count, 3) in cell sizes, that are hidden from `waves` and keep a spacing, 0 for none.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the independent points to start from.
-    count : int
-        Points to place.
-    waves : Waves
-        Those of `stealthy_waves`.
-    spacing : float
-        Smallest distance between points and to the obstacles, cell sizes; 0 for none.
-    around : Surroundings
-
-    Returns
-    -------
-    (count, 3) float64
-        Cell sizes; in a periodic cell in [0, 1).
-
-    Raises
-    ------
-    DesignError
-        If no start leads to such points.
+    Descends from independent points drawn by `rng`; in a periodic cell the result lies in [0, 1). Raises DesignError if
+    no start leads to such points.
     """
     seen = count + float(around.weight.sum())
     sheet = max((float(around.weight[around.fixed[:, a] == 0].sum()) for a in range(3)), default=0.0)

@@ -16,24 +16,13 @@ from sppm_pipeline.services.jit.compiled import inline_jit
 
 
 class Waves(NamedTuple):
-    """All waves up to a radius in reciprocal space but the constant one, and of each pair k and -k only one.
+    """All waves up to a radius in reciprocal space but the constant one, and of each pair k and -k only one."""
 
-    Attributes
-    ----------
-    columns : (c, 5) int64
-        Runs of waves that differ in kz only: kx, ky, first and last kz, and the number of waves before the run.
-    number : int
-        M, their number.
-    reach : int
-        Largest kx, ky or kz.
-    radius : float
-        K, the length of the longest wave vector, periods over the edge of the cell.
-    """
-
+    # (c, 5) runs of waves that differ in kz only: kx, ky, first and last kz, waves before the run
     columns: NDArray[np.int64]
-    number: int
-    reach: int
-    radius: float
+    number: int  # M, the number of waves
+    reach: int  # largest kx, ky or kz
+    radius: float  # K, the longest wave vector, periods over the edge of the cell
 
     def vectors(self) -> NDArray[np.int64]:
         """The wave vectors in the order of the columns, (number, 3)."""

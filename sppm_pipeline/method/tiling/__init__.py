@@ -9,7 +9,6 @@ A face with no cell on either side is -1.
 * `hashed`: face colors and interiors drawn freely, any cell at random access.
 * `corners`: colored lattice corners, from which faces and interiors follow.
 * `lattice`: the lattice of cells and faces, the integer hash of its places, and a content of its own for every cell.
-* `statistics`, `residual`: what a tiling repeats, and what is left of it in an image.
 * `statistics`: broken rules, alike neighbors, scores of Rule 2, and the entropy that a rule leaves.
 * `residual`: how much of an assembled image still repeats from cell to cell.
 """

@@ -13,13 +13,7 @@ Laid = tuple[NDArray[np.int32], Faces]
 
 
 def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
-    """`mask` as a boolean array.
-
-    Raises
-    ------
-    ValueError
-        If it hasn't three axes, or one of them is empty.
-    """
+    """`mask` as a boolean array; ValueError if it hasn't three axes, or one of them is empty."""
     cells = np.asarray(mask, np.bool_)
     if cells.ndim != 3 or 0 in cells.shape:
         raise ValueError(f"the mask of cells must have shape (nx, ny, nz) with no empty axis, got {cells.shape}")
@@ -49,13 +43,7 @@ def with_halo(cells: NDArray[np.bool_], halo: int) -> NDArray[np.bool_]:
 
 
 def check_count(what: str, count: int, largest: int = 2**31 - 1) -> None:
-    """Check the number of colors or interiors that a user asked for.
-
-    Raises
-    ------
-    DesignError
-        If it isn't within 1..largest.
-    """
+    """Raise DesignError if a number of colors or interiors that a user asked for isn't within 1..largest."""
     if not 1 <= count <= largest:
         raise DesignError(
             f"the number of {what} is {count}, allowed are 1 to {largest}",
@@ -66,19 +54,9 @@ def check_count(what: str, count: int, largest: int = 2**31 - 1) -> None:
 
 
 def face_presence(mask: NDArray[np.bool_], periodic: bool = False) -> tuple[NDArray[np.bool_], ...]:
-    """Which lattice faces have a cell on at least one side.
+    """Which lattice faces have a cell on at least one side: three arrays, that of axis a of shape n_a + 1 along a.
 
-    Parameters
-    ----------
-    mask : (nx, ny, nz) bool
-        Which cells are filled.
-    periodic : bool
-        Whether the last plane of each axis is the first one again; both then carry the same entries.
-
-    Returns
-    -------
-    three bool arrays
-        The array of axis a has shape n_a + 1 along a.
+    In a periodic lattice the last plane of each axis is the first one again; both then carry the same entries.
     """
     presence = []
     for axis in range(3):
@@ -95,21 +73,9 @@ def face_presence(mask: NDArray[np.bool_], periodic: bool = False) -> tuple[NDAr
 
 
 def faces_of_cells(colors: Faces, mask: NDArray[np.bool_], periodic: bool = False) -> Faces:
-    """Faces of cells whose two opposite faces carry one color.
+    """Faces of cells whose two opposite faces carry one color: three arrays as in `Laid`, -1 where there is no cell.
 
-    Parameters
-    ----------
-    colors : three (nx, ny, nz) int32
-        Color that each cell shows along x, y, z. Where two cells meet they must agree; the lower one is read.
-    mask : (nx, ny, nz) bool
-        Which cells are filled.
-    periodic : bool
-        Whether the assembly repeats.
-
-    Returns
-    -------
-    three int32 arrays
-        Shape n_a + 1 along axis a; -1 where there is no cell on either side.
+    `colors`, three (nx, ny, nz), are those that each cell shows along x, y, z; where two cells meet they must agree.
     """
     faces = []
     for axis in range(3):
@@ -183,22 +149,9 @@ def _numbered(there: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> Laid:
-    """Number cells and faces consecutively in raster order, x fastest.
+    """Number cells, and the faces across each axis, consecutively in raster order, x fastest; -1 without a cell.
 
-    Parameters
-    ----------
-    mask : (nx, ny, nz) bool
-        Cells to be filled.
-    periodic : bool
-        Whether the last plane of faces of each axis is the first one again.
-
-    Returns
-    -------
-    interior : (nx, ny, nz) int32
-        0..(number of cells)-1; -1 where there is no cell.
-    faces : three int32 arrays
-        For each axis its own numbers 0..(number of faces across this axis)-1, planes that are one counted once; shape
-        n_a + 1 along axis a; -1 where there is no cell on either side.
+    In a periodic lattice the last plane of faces of each axis is the first one, and is counted once.
     """
     cells = checked_mask(mask)
     faces = []

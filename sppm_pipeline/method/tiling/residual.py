@@ -9,14 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class AxisCorrelation(NamedTuple):
-    """Mean correlation coefficient of a cell and the next one.
+    """Mean correlation coefficient, -1..1, of a cell and the next one along each axis, and over the axes.
 
-    Attributes
-    ----------
-    x, y, z : float
-        Mean over all pairs of neighbors along the axis, -1..1; NaN where there is no pair of cells with contrast.
-    mean : float
-        Mean over the axes that have pairs; NaN if none has.
+    NaN where there is no pair of cells with contrast; `mean` is over the axes that have pairs.
     """
 
     x: float
@@ -26,25 +21,14 @@ class AxisCorrelation(NamedTuple):
 
 
 class Folded(NamedTuple):
-    """Solid share of the mean cell at the places of the lattice; without a lattice all agree within the deviation.
+    """Solid share of the mean cell at the places of the lattice; without a lattice all agree within the deviation."""
 
-    Attributes
-    ----------
-    corner, edge, face, center : float
-        Mean within a sixteenth of the cell size of the corners; of the edges, over the middle half of their length;
-        of the faces, over the middle half in both directions; and over the middle half of the cell in all three.
-    deviation : float
-        Standard deviation of the mean cell over its voxels.
-    expected : float
-        Deviation that the mean of as many independent cells would have.
-    """
-
-    corner: float
-    edge: float
-    face: float
-    center: float
-    deviation: float
-    expected: float
+    corner: float  # mean within a sixteenth of the cell size, `NEAR`
+    edge: float  # over the middle half of the length
+    face: float  # over the middle half in both directions
+    center: float  # over the middle half of the cell in all three
+    deviation: float  # standard deviation of the mean cell over its voxels
+    expected: float  # deviation that the mean of as many independent cells would have
 
 
 NEAR = 1 / 16
@@ -52,7 +36,7 @@ NEAR = 1 / 16
 
 
 def _blocks(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.generic]:
-    """View of the image as (cx, nx, cy, ny, cz, nz): cells, and voxels inside a cell."""
+    """View of an image as (cx, nx, cy, ny, cz, nz), cells and voxels inside them; ValueError unless these are whole."""
     voxels = np.asarray(image)
     if voxels.ndim != 3 or min(cells) < 1 or any(n % c or n == 0 for n, c in zip(voxels.shape, cells, strict=True)):
         raise ValueError(f"an image of shape {voxels.shape} can't be divided into {cells} cells of whole voxels")
@@ -79,47 +63,12 @@ def _statistics(blocks: NDArray[np.generic]) -> _Statistics:
 
 
 def mean_cell(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.float64]:
-    """Average of all cells of an image, voxel by voxel.
-
-    Parameters
-    ----------
-    image : (Nx, Ny, Nz) bool or float
-        Voxel image of the assembly.
-    cells : (cx, cy, cz)
-        Number of cells along each axis; each must divide the number of voxels.
-
-    Returns
-    -------
-    (Nx/cx, Ny/cy, Nz/cz) float64
-        The mean cell.
-
-    Raises
-    ------
-    ValueError
-        If the image can't be divided into whole voxels.
-    """
+    """Average (nx, ny, nz) of all cells of an image (cx nx, cy ny, cz nz), voxel by voxel."""
     return _statistics(_blocks(image, cells)).mean_cell
 
 
 def folded_shares(image: ArrayLike, cells: tuple[int, int, int]) -> Folded:
-    """Fold an image onto one cell and compare the places of the lattice.
-
-    Parameters
-    ----------
-    image : (Nx, Ny, Nz) bool or float
-        Voxel image of the assembly, 1 where it is solid.
-    cells : (cx, cy, cz)
-        Number of cells along each axis; each must divide the number of voxels.
-
-    Returns
-    -------
-    Folded
-
-    Raises
-    ------
-    ValueError
-        If the image can't be divided into whole voxels.
-    """
+    """Fold an image, 1 where it is solid, onto one of its (cx, cy, cz) cells, and compare the lattice places."""
     statistics = _statistics(_blocks(image, cells))
     mean = statistics.mean_cell
     near = [_overlap(n, (0.0, NEAR), (1.0 - NEAR, 1.0)) for n in mean.shape]
@@ -161,26 +110,7 @@ def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: boo
     Even of M independent cells the raw fraction is about 1/M, since their average keeps a remainder. The corrected
     fraction replaces the variance of the mean cell, which is the mean covariance of all M^2 pairs of cells, by the mean
     over the pairs of *different* cells. Its expectation is zero for independent cells, so single values may fall below
-    zero.
-
-    Parameters
-    ----------
-    image : (Nx, Ny, Nz) bool or float
-        Voxel image of the assembly.
-    cells : (cx, cy, cz)
-        Number of cells along each axis; each must divide the number of voxels.
-    corrected : bool
-        Whether the bias for the finite number of cells is removed; needs at least two cells.
-
-    Returns
-    -------
-    float
-        The fraction; NaN for an image without contrast.
-
-    Raises
-    ------
-    ValueError
-        If the image can't be divided into whole voxels, or there is one cell only and the corrected fraction is wanted.
+    zero; ValueError for one cell. NaN for an image without contrast.
     """
     blocks = _blocks(image, cells)
     count = cells[0] * cells[1] * cells[2]
@@ -202,23 +132,7 @@ def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: boo
 def axis_correlation(image: ArrayLike, cells: tuple[int, int, int]) -> AxisCorrelation:
     """Mean correlation coefficient between a cell and its neighbor one cell further along x, y and z.
 
-    Parameters
-    ----------
-    image : (Nx, Ny, Nz) bool or float
-        Voxel image of the assembly.
-    cells : (cx, cy, cz)
-        Number of cells along each axis; each must divide the number of voxels.
-
-    Returns
-    -------
-    AxisCorrelation
-        For each axis, and their mean. Cells without contrast (all void or all solid) have no coefficient
-        and are left out.
-
-    Raises
-    ------
-    ValueError
-        If the image can't be divided into whole voxels.
+    Cells without contrast (all void or all solid) have no coefficient and are left out.
     """
     blocks = _blocks(image, cells)
     _, means, variances = _statistics(blocks)

@@ -29,69 +29,17 @@ def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[NDArray[np.
     return placed, colors
 
 
-def rule1_violations(tiles: ArrayLike, tile_faces: ArrayLike, *, periodic: bool = False) -> NDArray[np.int64]:
-    """Count neighbors whose touching faces show different colors (Rule 1 of the paper).
-
-    Parameters
-    ----------
-    tiles : (nx, ny, nz) int
-        Tile of each cell, -1 where there is none.
-    tile_faces : (n, 3) or (n, 6) int
-        Colors of each tile: across x, y, z if opposite faces are equal, else low x, high x, low y, high y, low z,
-        high z.
-    periodic : bool
-        Whether the assembly repeats.
-
-    Returns
-    -------
-    (3,) int64
-        Broken adjacencies along x, y, z.
-
-    Raises
-    ------
-    ValueError
-        If `tile_faces` has another shape or a tile isn't among its rows.
-    """
-    placed, colors = _checked_tiles(tiles, tile_faces)
-    broken = np.zeros(3, np.int64)
-    for axis in range(3):
-        cells = np.moveaxis(placed, axis, 0)
-        # the high face of a cell touches the low face of the next one
-        low, high = (cells, np.roll(cells, -1, axis=0)) if periodic else (cells[:-1], cells[1:])
-        both = (low >= 0) & (high >= 0)
-        broken[axis] = np.count_nonzero(colors[low[both], 2 * axis + 1] != colors[high[both], 2 * axis])
-    return broken
-
-
 def face_violations(
     interior: ArrayLike, faces: Faces, tile_faces: ArrayLike | None = None, *, periodic: bool = False
 ) -> NDArray[np.int64]:
-    """Count faces that don't fit the cells.
+    """Count faces across x, y, z, (3,), that don't fit the cells; with `tile_faces` broken adjacencies of Rule 1, too.
 
-    A face is broken if it lies at a cell and has no color, has a color and lies at no cell, shows another color
-    than a tile beside it (once for each such tile), or differs from the face at the opposite end of a periodic
-    assembly.
+    A face is broken if it lies at a cell and has no color, has a color and lies at no cell, shows another color than a
+    tile beside it (once for each such tile), or differs from the face at the opposite end of a periodic assembly.
+    `tile_faces`, where `interior` numbers tiles whose faces are fixed, are (n, 3) colors across x, y, z if opposite
+    faces are equal, else (n, 6): low x, high x, low y, high y, low z, high z.
 
-    Parameters
-    ----------
-    interior : (nx, ny, nz) int
-        Content of each cell, -1 where there is none.
-    faces : three int arrays
-        Shape n_a + 1 along axis a, -1 where there is no face.
-    tile_faces : (n, 3) or (n, 6) int, optional
-        Colors of each tile as for `rule1_violations`, where `interior` numbers tiles whose faces are fixed.
-    periodic : bool
-        Whether the assembly repeats.
-
-    Returns
-    -------
-    (3,) int64
-        Broken faces across x, y, z.
-
-    Raises
-    ------
-    ValueError
-        If a face array has the wrong shape, `tile_faces` has, or a tile isn't among its rows.
+    Raises ValueError if a face array or `tile_faces` has the wrong shape, or a tile isn't among its rows.
     """
     cells = np.asarray(interior)
     broken = np.zeros(3, np.int64)
@@ -125,19 +73,9 @@ def _neighbors(
 
 
 def alike_neighbors(interior: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Count pairs of neighbors that have the same interior, and all pairs.
+    """Count pairs of neighbors across faces, edges and corners, (3,), that have the same interior, and all pairs.
 
-    Parameters
-    ----------
-    interior : (nx, ny, nz) int
-        Interior or tile of each cell, -1 where there is none.
-    periodic : bool
-        Whether the assembly repeats; a cell may then be its own neighbor.
-
-    Returns
-    -------
-    alike, pairs : (3,) int64
-        Across faces, edges and corners.
+    In a periodic assembly a cell may be its own neighbor.
     """
     alike, pairs = np.zeros(3, np.int64), np.zeros(3, np.int64)
     for axes, _, here, other in _neighbors(np.asarray(interior, np.int64), periodic):
@@ -149,21 +87,10 @@ def alike_neighbors(interior: ArrayLike, *, periodic: bool = False) -> tuple[NDA
 
 
 def rule2_scores(tiles: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Score of each cell by Rule 2 of the paper, among all of its neighbors.
+    """Score of each cell by Rule 2 of the paper among all of its neighbors, and its maximum, both (nx, ny, nz).
 
-    A neighbor that is another tile adds 3 across a face, 2 across an edge, 1 across a corner.
-
-    Parameters
-    ----------
-    tiles : (nx, ny, nz) int
-        Tile of each cell, -1 where there is none.
-    periodic : bool
-        Whether the assembly repeats.
-
-    Returns
-    -------
-    score, largest : (nx, ny, nz) int64
-        The score, and what it would be if no neighbor were the same tile; 0 where there is no cell.
+    A neighbor that is another tile adds 3 across a face, 2 across an edge, 1 across a corner; in the maximum every
+    neighbor is another one. Both are 0 where there is no cell (-1).
     """
     cells = np.asarray(tiles, np.int64)
     score, largest = np.zeros(cells.shape, np.int64), np.zeros(cells.shape, np.int64)
@@ -179,35 +106,15 @@ def entropy_per_cell(mask: ArrayLike, kind: str, colors: int, interiors: int = 1
     """Bits of choice per cell: the binary logarithm of the number of layouts that a rule allows, over the cells.
 
     * ``wang``: the paper's tile set under Rule 1. Every unbroken row of cells along an axis has one color, so a full
-      box has ``c^(ny nz + nz nx + nx ny)`` layouts, ``3^(3 N^2)`` for N^3 cells and three colors: the exponent grows
-      with the surface, and the entropy of a cell falls to zero as 1 / N. Rule 2 chooses among these layouts.
+    box has ``c^(ny nz + nz nx + nx ny)`` layouts, ``3^(3 N^2)`` for N^3 cells and three colors: the exponent grows with
+    the surface, and the entropy of a cell falls to zero as 1 / N. Rule 2 chooses among these layouts.
+
     * ``free``: every lattice face has a color of its own. Tends to ``3 log2(c) + log2(K)`` for large boxes.
+
     * ``corner``: every lattice corner has one. Tends to ``log2(c) + log2(K)``.
 
-    Parameters
-    ----------
-    mask : (nx, ny, nz) bool
-        Cells that are filled.
-    kind : {"wang", "free", "corner"}
-        Kind of the tile set.
-    colors : int
-        Number of face or corner colors c.
-    interiors : int
-        Number of interiors K that a cell may have for given colors.
-    periodic : bool
-        Whether opposite ends of the box are the same planes.
-
-    Returns
-    -------
-    float
-        Bits; 0 without cells.
-
-    Raises
-    ------
-    DesignError
-        If `colors` or `interiors` is below 1.
-    ValueError
-        If the kind is unknown.
+    `colors` is c, `interiors` the number K that a cell may have for given colors. 0 without cells; DesignError if
+    either number is below 1, ValueError for another kind.
     """
     check_count("colors", colors)
     check_count("interiors", interiors)

@@ -128,57 +128,18 @@ def _fill(
 
 
 def tile_colors(colors: int = 3) -> NDArray[np.int32]:
-    """Face colors of all tiles of the set.
-
-    Parameters
-    ----------
-    colors : int
-        Number of face colors c.
-
-    Returns
-    -------
-    (c^3, 3) int32
-        Color of the faces across x, y, z; the row is the number of the tile.
-
-    Raises
-    ------
-    DesignError
-        If c isn't within 1..1290.
-    """
+    """Face colors of all c^3 tiles of the set across x, y, z, (c^3, 3); DesignError if c isn't within 1..1290."""
     check_count("face colors", colors, _MAX_COLORS)
     tile = np.arange(colors**3, dtype=np.int32)
     return np.stack([tile // colors**2, tile // colors % colors, tile % colors], axis=1)
 
 
 def tile_wang(mask: ArrayLike, seed: int, colors: int = 3, *, scored: bool = True, periodic: bool = False) -> Laid:
-    """Fill cells with the paper's tiles by Rule 1 and Rule 2, in raster order with x fastest.
+    """Fill the cells of a mask with the paper's tiles by Rule 1 and Rule 2, in raster order with x fastest.
 
-    Tiles of equal score (all of them, for the first cell) are drawn by a hash of the seed and the cell.
-
-    Parameters
-    ----------
-    mask : (nx, ny, nz) bool
-        Cells to be filled, in any shape.
-    seed : int
-        Same seed, same tiling.
-    colors : int
-        Number of face colors c.
-    scored : bool
-        False leaves out Rule 2: any tile that Rule 1 allows is as good as another.
-    periodic : bool
-        Whether the assembly repeats, so that its opposite ends are neighbors for both rules.
-
-    Returns
-    -------
-    interior : (nx, ny, nz) int32
-        Number of the tile, 0..c^3-1; -1 where there is no cell.
-    faces : three int32 arrays
-        Face colors 0..c-1; shape n_a + 1 along axis a; -1 where there is no cell on either side.
-
-    Raises
-    ------
-    DesignError
-        If `colors` isn't within 1..1290.
+    Cells may have any shape. Tiles of equal score (all of them, for the first cell, or without `scored`, which leaves
+    out Rule 2) are drawn by a hash of the seed and the cell. Opposite ends of a periodic assembly are neighbors for
+    both rules. Tiles are numbered 0..c^3-1, -1 where there is no cell; DesignError if c isn't within 1..1290.
     """
     check_count("face colors", colors, _MAX_COLORS)
     cells = checked_mask(mask)

@@ -11,7 +11,6 @@ from sppm_pipeline.method.sampling import blocks
 from sppm_pipeline.method.sampling.blocks import (
     block_colors,
     block_quotas,
-    needed_blocks,
     spacing_at_share,
     throw_blocks,
 )
@@ -73,6 +72,15 @@ def test_neighbors_never_share_a_color(shape, periodic):
                 gap = np.minimum(gap, shape - gap)
             if 0 < gap.max() <= 1:
                 assert colors[tuple(a)] != colors[tuple(b)]
+
+
+def needed_blocks(wanted):
+    """The wanted blocks (nx, ny, nz) and all that they depend on: neighbors of earlier colors, and so on."""
+    colors = block_colors(wanted.shape)
+    needed = wanted.copy()
+    for color in range(int(colors.max()), 0, -1):
+        needed |= dilated(needed & (colors == color)) & (colors < color)
+    return needed
 
 
 def test_any_region_can_be_thrown_alone():

@@ -14,30 +14,17 @@ from sppm_pipeline.method.tiling.statistics import (
     alike_neighbors,
     entropy_per_cell,
     face_violations,
-    rule1_violations,
     rule2_scores,
 )
 from sppm_pipeline.method.tiling.wang import tile_colors, tile_wang
 
 
-def test_counts_each_broken_adjacency_once():
-    tiles = np.zeros((3, 3, 3), np.int32)
-    tiles[1, 1, 1] = 26  # differs from its six neighbors along every axis
-    assert rule1_violations(tiles, tile_colors(3)).tolist() == [2, 2, 2]
-    tiles[1, 1, 1] = 9  # (1, 0, 0): differs along x only
-    assert rule1_violations(tiles, tile_colors(3)).tolist() == [2, 0, 0]
-
-
-def test_missing_cells_have_no_adjacency():
-    tiles = np.array([0, -1, 26]).reshape(3, 1, 1)
-    assert not rule1_violations(tiles, tile_colors(3)).any()
-    assert rule1_violations(tiles, tile_colors(3), periodic=True).tolist() == [1, 0, 0]
-
-
 def test_tiles_whose_opposite_faces_differ():
     six = np.array([[0, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]])
-    assert not rule1_violations(np.array([0, 1, 0]).reshape(3, 1, 1), six).any()
-    assert rule1_violations(np.array([0, 0, 1]).reshape(3, 1, 1), six).tolist() == [1, 0, 0]
+    others = np.zeros((3, 2, 1), np.int32), np.zeros((3, 1, 2), np.int32)
+    for tiles, planes, broken in (([0, 1, 0], [0, 1, 0, 1], 0), ([0, 0, 1], [0, 1, 1, 0], 1)):
+        faces = (np.array(planes, np.int32).reshape(4, 1, 1), *others)
+        assert face_violations(np.array(tiles).reshape(3, 1, 1), faces, six).tolist() == [broken, 0, 0]
 
 
 def test_missing_stray_and_wrong_faces_are_seen():
@@ -63,9 +50,9 @@ def test_wrong_arguments():
     with pytest.raises(ValueError, match="faces across axis 0"):
         face_violations(interior, (faces[1], faces[1], faces[2]))
     with pytest.raises(ValueError, match="within"):
-        rule1_violations(np.full((1, 1, 1), 27), tile_colors(3))
+        face_violations(np.full((2, 2, 2), 27), faces, tile_colors(3))
     with pytest.raises(ValueError, match="shape"):
-        rule1_violations(interior, np.zeros((4, 5)))
+        face_violations(interior, faces, np.zeros((4, 5)))
 
 
 def obvious_pairs(cells, periodic):
@@ -104,13 +91,25 @@ def test_inside_of_a_box_a_score_is_at_most_fifty():
     assert score[1, 1, 1] == largest[1, 1, 1] == 6 * 3 + 12 * 2 + 8
 
 
+def adjacent(mask, periodic):
+    """All pairs of a cell and the next one along an axis, and that axis."""
+    for axis in range(3):
+        for place in np.argwhere(mask):
+            other = place + (np.arange(3) == axis)
+            if periodic:
+                other %= mask.shape
+            if other[axis] < mask.shape[axis] and mask[tuple(other)]:
+                yield tuple(place), tuple(other), axis
+
+
 def count_wang(mask, periodic):
     """Layouts of two colors that Rule 1 allows, by trying all."""
-    tiles = np.full(mask.shape, -1)
+    pairs = list(adjacent(mask, periodic))
+    places = list(zip(*np.nonzero(mask), strict=True))
     count = 0
-    for chosen in itertools.product(range(8), repeat=int(mask.sum())):
-        tiles[mask] = chosen
-        count += not rule1_violations(tiles, tile_colors(2), periodic=periodic).any()
+    for chosen in itertools.product(range(8), repeat=len(places)):
+        tile = dict(zip(places, chosen, strict=True))
+        count += all(tile_colors(2)[tile[a], axis] == tile_colors(2)[tile[b], axis] for a, b, axis in pairs)
     return count
 
 
