@@ -70,15 +70,8 @@ def apply_seven_point(
 ) -> float:
     """The operator, or what a solver needs of it; compare `elastic_operator.apply_stiffness`.
 
-    Parameters
-    ----------
-    mode : {APPLY, RESIDUAL, SMOOTH}
-    v, r, weight, diagonal, out : (nz, ny, nx) flat
-    wx, wy, wz : (nz, ny, nx) flat
-        Weights between each unknown and the one before it along the axis.
-    shape : (3,) int64
-        nx, ny, nz.
-    s : (SCRATCH_ROWS * STRIDE,)
+    All arrays are (nz, ny, nx) flat, but for `shape` (nx, ny, nz) and the scratch `s` (SCRATCH_ROWS * STRIDE,); `wx`,
+    `wy`, `wz` are the weights between each unknown and the one before it along the axis.
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     total = 0.0
@@ -105,12 +98,8 @@ def apply_seven_point(
 class SevenPointLevel:
     """One grid; see `multigrid.hierarchy.Level`.
 
-    Parameters
-    ----------
-    walls : (nz, ny, nx) float32
-        Drag of the walls; 0 where there is none.
-    weights : 3 arrays (nz, ny, nx) float32
-        Between each unknown and the one before it along x, y, z; 0 across walls. Unknowns without any are none.
+    `walls` (nz, ny, nx) is the drag of the walls, 0 where there is none; `weights`, three such arrays, join each
+    unknown and the one before it along x, y, z; 0 across walls. Unknowns without any are none.
     """
 
     components = 1
@@ -148,15 +137,10 @@ def _united(values: NDArray[np.float32], axes: tuple[int, ...]) -> NDArray[np.fl
 
 
 def hierarchy_of(walls: NDArray[np.float32], weights: tuple[NDArray[np.float32], ...]) -> Hierarchy:
-    """All grids, the coarsest of two unknowns along an axis at most.
-
-    Parameters
-    ----------
-    walls, weights
-        As of a `SevenPointLevel`.
-    """
+    """All grids, the coarsest of two unknowns along an axis at most; arguments as of a `SevenPointLevel`."""
     levels = [SevenPointLevel(walls, weights)]
     while coarser(levels[-1].shape) is not None:
+        # halved like the weights, as the distance from the wall doubles, too
         walls = np.float32(0.5) * _united(walls, (0, 1, 2))
         coarse = []
         for d, w in enumerate(weights):
@@ -176,12 +160,7 @@ def hierarchy_of(walls: NDArray[np.float32], weights: tuple[NDArray[np.float32],
 
 
 class CellTransfer(NamedTuple):
-    """Between the unknowns of two grids; see `multigrid.hierarchy.Transfer`.
-
-    Attributes
-    ----------
-    fine, coarse : SevenPointLevel
-    """
+    """Between the unknowns of two grids; see `multigrid.hierarchy.Transfer`."""
 
     fine: SevenPointLevel
     coarse: SevenPointLevel
@@ -246,15 +225,9 @@ def interpolate_cells_add(
 ) -> None:
     """Add the interpolated coarse vector to a fine one, where `weight` is not 0.
 
-    Parameters
-    ----------
-    coarse, out, weight : flat, of (nz, ny, nx)
-    fine_size, coarse_size : (3,) int64
-        nx, ny, nz.
-    far : float
-        Share of the second nearest coarse unknown along an axis; the nearest has the rest.
-    s : (> nx + 1 of the fine grid,)
-        Scratch.
+    `coarse`, `out` and `weight` are flat, of (nz, ny, nx), sizes (nx, ny, nz); `far` is the share of the second
+    nearest coarse unknown along an axis, the nearest has the rest; `s` is scratch of more than nx + 1 of the fine
+    grid.
     """
     nx, ny, nz = np.uint64(fine_size[0]), np.uint64(fine_size[1]), np.uint64(fine_size[2])
     mx, my, mz = np.uint64(coarse_size[0]), np.uint64(coarse_size[1]), np.uint64(coarse_size[2])

@@ -63,6 +63,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
         )
         narrow, wide = conducted
         open_share = 1 - flow.pocket_share
+        # porosity over conductivity on both sides of the wall, averaged as the conductivities are
         tortuosity = float(np.mean([open_share * p / max(k, 1e-12) for p, k in zip(porosity, conducted, strict=True)]))
         viscous = flow.viscous_tortuosity[axis]
         assert viscous is not None
