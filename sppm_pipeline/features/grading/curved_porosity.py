@@ -195,6 +195,7 @@ class CurvedSamples:
             totals[1] += np.bincount(some.cell, some.volume * some.inside, self.curved.count)
             value = some.value
             if level is not None:
+                # ln G is nearly linear in the distance near the surface, so that cubics and Newton steps do well
                 value = np.log(np.maximum(value + np.float32(level), np.float32(1e-9)))
             place = (some.points - lattice.origin) / lattice.edge
             parts = (place.astype(np.float32), some.cell, value, some.volume.astype(np.float32))
@@ -206,6 +207,7 @@ class CurvedSamples:
 def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLattice, int]:
     """The lattice of a level over the cells of a field, and its control points along an edge of these."""
     edge = field.physical_edge()
+    # the least stretch of any cell in any direction
     smallest = float(np.linalg.svd(curved.frames, compute_uv=False).min())
     most = math.floor((MAX_CONTROL / math.prod(field.cells)) ** (1 / 3))
     parts = max(1, min(math.ceil(PER_CELL * edge / smallest), most))
@@ -224,12 +226,8 @@ def fit_curved_level(
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[LevelField, LevelFit, NDArray[np.bool_]]:
-    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation.
-
-    Raises
-    ------
-    DesignError
-        If no cell lies in the part.
+    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation;
+    `DesignError` if no cell lies in the part.
     """
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)

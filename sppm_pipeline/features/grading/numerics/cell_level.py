@@ -1,9 +1,9 @@
 """A level that is smooth over cells of any shape: one unknown a cell, blended by Wendland's functions.
 
 Each cell has a weight that falls from its middle to zero at `SUPPORT` cells from there, measured in the frame of the
-cell, and the weights at a place are divided by their sum (Shepard). The weight is Wendland's C2 function
-``(1 - q)^4 (4 q + 1)`` (Wendland 1995). A blend at the middles of a fine lattice is the control of a quadratic spline,
-which is what is used in the end: it is once continuously differentiable and cheap to evaluate on rows of samples.
+cell, and the weights at a place are divided by their sum (Shepard). The weight is Wendland's C2 function ``(1 - q)^4
+(4 q + 1)`` (Wendland 1995). A blend at the middles of a fine lattice is the control of a quadratic spline, which is
+what is used in the end: it is once continuously differentiable and cheap to evaluate on rows of samples.
 """
 
 from __future__ import annotations
@@ -108,10 +108,8 @@ def means_over_cells(
     blend: csr_array,
     inner: Callable[[int, int], tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> csr_array:
-    """Matrix from the cells' values to the means of the spline over each cell, (m, m).
-
-    `inner` gives for the cells from a first one to before a last one points (cells, k, 3) mm and the volume that each
-    stands for, (cells, k).
+    """Matrix from the cells' values to the means of the spline over each cell, (m, m); `inner` gives for the cells
+    from a first one to before a last one points (cells, k, 3) mm and the volume that each stands for, (cells, k).
     """
     from scipy.sparse import csr_array, vstack
 
@@ -124,6 +122,7 @@ def means_over_cells(
         along = np.stack([(1 - t) ** 2 / 2, 0.5 + t - t**2, t**2 / 2], -1)  # as in `level_spline`
         share = (volume / volume.sum(axis=1, keepdims=True)).ravel()
         cell = np.repeat(np.arange(len(points)), points.shape[1])
+        # 27 control points around each place carry its value
         mean = csr_array((len(points), blend.shape[0]))
         for step in np.ndindex(3, 3, 3):
             node = np.clip(own + np.array(step) - 1, 0, shape - 1)
@@ -181,9 +180,8 @@ BYTES_OF_A_SAMPLE = 24
 def porosities_and_slopes(
     samples: list[CellSamples], control: NDArray[np.float64], cells: int, half_width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Share of each cell at or above the level, and its change with the level.
-
-    Samples within `half_width` of the level give the slope.
+    """Share of each cell at or above the level, and its change with the level, by the samples within `half_width` of
+    it.
     """
     totals = np.zeros((3, cells))
     padded = np.pad(control, 1, mode="edge")

@@ -21,11 +21,7 @@ def block_counts(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Voxels that are void and inside, and all that are inside, in blocks of `size` along each axis.
 
-    Parameters
-    ----------
-    void, inside : (nz, ny, nx) bool
-        Multiples of `size` along all axes; None for all inside.
-    size : int
+    Masks are (nz, ny, nx), multiples of `size`; `inside` is None for all.
     """
     nz, ny, nx = (n // size for n in void.shape)
 
@@ -45,14 +41,8 @@ def smoothed_means(
     *,
     mode: Literal["constant", "wrap"] = "constant",
 ) -> NDArray[np.float64]:
-    """Weighted means of block values in a Gaussian window around each block; NaN where nothing has a weight.
-
-    Parameters
-    ----------
-    values, weights : (nx, ny, nz) float
-        `BLOCKS` blocks along a cell edge.
-    mode : {"constant", "wrap"}
-        Whether there is nothing beyond the ends, or the blocks repeat.
+    """Weighted means of block values (nx, ny, nz), `BLOCKS` along a cell edge, in a Gaussian window around each block;
+    NaN where nothing has a weight. Beyond the ends there is nothing ("constant"), or the blocks repeat ("wrap").
     """
     from scipy.ndimage import gaussian_filter
 

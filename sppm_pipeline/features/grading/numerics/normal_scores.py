@@ -1,9 +1,9 @@
 """Fields made comparable by normal scores, and mixed so that the share of solid is what it should be.
 
-The score of a value is the standard normal quantile of the share of samples below it. Where two fields are independent,
-``cos(s pi / 2) Z_1 + sin(s pi / 2) Z_2`` of their scores is standard normal again, whatever s is, so that a cut at the
-quantile of the share of solid keeps that share (Heitz and Neyret 2018, "High-performance by-example noise using a
-histogram-preserving blending operator"). A plain linear blend is off by up to ten points.
+The score of a value is the standard normal quantile of the share of samples below it. Where two fields are
+independent, ``cos(s pi / 2) Z_1 + sin(s pi / 2) Z_2`` of their scores is standard normal again, whatever s is, so that
+a cut at the quantile of the share of solid keeps that share (Heitz and Neyret 2018, "High-performance by-example noise
+using a histogram-preserving blending operator"). A plain linear blend is off by up to ten points.
 """
 
 from __future__ import annotations
@@ -18,24 +18,15 @@ SCORES = np.linspace(-4.5, 4.5, 1153)
 
 
 class ScoreTable(NamedTuple):
-    """Values of a field and their scores, both ascending.
-
-    Attributes
-    ----------
-    values, scores : (k,) float64
-    """
+    """Values (k,) of a field and their scores, both ascending."""
 
     values: NDArray[np.float64]
     scores: NDArray[np.float64]
 
 
 def score_table(samples: NDArray[np.floating]) -> ScoreTable:
-    """The table of a field, negative in the solid, from samples of equal weight; the score of 0 is exact.
-
-    Raises
-    ------
-    ValueError
-        If all are solid, or all are void.
+    """The table of a field, negative in the solid, from samples of equal weight; the score of 0 is exact. `ValueError`
+    if all are solid, or all are void.
     """
     from scipy.special import ndtr, ndtri
 

@@ -185,10 +185,7 @@ class CheckLocalPorosity(Stage):
     def _noise(
         self, context: Context, recipe: Recipe, cells: tuple[int, int, int], scattered: bool
     ) -> tuple[float, float]:
-        """Standard deviation in the window, and mean, of the porosity of equal cells in a box of at most 3^3 of them.
-
-        Cells around the box are those of it once more; the window ends at the box, as it does at that of the field.
-        """
+        """Standard deviation in the window, and mean, of the porosity of equal cells in a box of at most 3^3."""
         nx, ny, nz = (min(NOISE_CELLS, n) for n in cells)
         blocks = Blocks(np.ones((nx, ny, nz), bool), True) if scattered else None
         colors = (0, 0, 0) if scattered else (1, 1, 1)
@@ -200,6 +197,7 @@ class CheckLocalPorosity(Stage):
         tiling = Tiling(TileSet(micro, kind, 0), TilingArrays(interior, (x, y, z), True), None)
         void = tiling.solid(BLOCKS * 3, context.threads).T == 0
         counts, of = block_counts(void, None, 3)
+        # cells around the box are those of it once more, but the window ends at it, as it does at that of the field
         means = smoothed_means(counts / of, np.ones(of.shape))
         return float(means.std()), float(void.mean())
 

@@ -64,6 +64,7 @@ class GradePoints(DataGrader):
                 f"{len(points)} points are too many for `interpolation: linear`, up to {MAX_LINEAR} are", hint=hint
             )
         size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 3 else np.zeros(3)
+        # the smallest extent along principal axes: there are no tetrahedra in a plane
         if not size[-1] > 1e-9 * size[0]:
             raise InputError(
                 f"{self.path.name}: its {len(points)} points lie in a plane, on a line or at one", hint=hint

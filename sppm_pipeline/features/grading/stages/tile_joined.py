@@ -117,6 +117,7 @@ class JoinedTiling(Stage):
             targets = cell_means(grading, "porosity", edge, lattice.origin, between - HALO)
         else:
             targets = (1 - share) * usual[0].porosity + share * usual[1].porosity
+        # sets that are cut at different levels need a level that goes from one to the other
         control = self._levels(sets, own, between, share)
         counts = (1 - share) * usual[0].pores + share * usual[1].pores
         inside = np.pad(lattice.mask, HALO)[tuple(between.T)]

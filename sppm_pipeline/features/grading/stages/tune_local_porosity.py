@@ -174,14 +174,8 @@ class TuneLocalPorosity(Stage):
         return _Fitted(made, names, numbers, targets[known], fit, n)
 
     def _range(self, level: float | None, deviation: float) -> tuple[float, float, float, tuple[float, float]]:
-        """The level to start from, half the range of values that are resolved, the width of the ramp, and the bounds.
-
-        Parameters
-        ----------
-        level : float or None
-            Of a sum of kernels.
-        deviation : float
-            Of the values of any other field.
+        """The level to start from, half the range of values that are resolved, the width of the ramp, and the bounds:
+        of the `level` of a sum of kernels, or by the standard `deviation` of the values of any other field.
         """
         if level is None:
             half = 4 * deviation
