@@ -43,22 +43,11 @@ _BOX_FACES = np.array(
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Something to be seen, sampled once for any number of views.
+    """Something to be seen, sampled once for any number of views."""
 
-    Attributes
-    ----------
-    solid : Solid
-        In the unit of length of what is seen: cell sizes, or of a mesh millimeters.
-    unit_mm : float or None
-        That unit, mm; None if it has no physical size.
-    removed_share : float
-        Islands that were left out, as a share of the solid samples.
-    colors : Colors
-    """
-
-    solid: Solid
-    unit_mm: float | None
-    removed_share: float
+    solid: Solid  # in the unit of length of what is seen: cell sizes, or of a mesh millimeters
+    unit_mm: float | None  # that unit, mm; None if it has no physical size
+    removed_share: float  # islands that were left out, as a share of the solid samples
     colors: Colors
 
     def frame(self, size: tuple[int, int], camera: Camera) -> Frame:
@@ -78,19 +67,11 @@ class Scene:
         background: Background = "light",
         threads: int = 1,
     ) -> NDArray[np.uint8]:
-        """A view (height, width, 3), or with a transparent background (height, width, 4) uint8.
+        """A view (height, width, 3), or with a transparent background (height, width, 4) uint8, of `size` (width,
+        height).
 
-        Parameters
-        ----------
-        size : (width, height)
-        camera : Camera
-        section : float, optional
-            Keep only this fraction along `section_along`, the side away from the viewer, to look inside.
-        section_along : {"x", "y", "z"}
-        annotate : bool
-            Whether the axes and a scale bar are drawn.
-        background : Background
-        threads : int
+        With a `section` only this fraction along `section_along` is kept, the side away from the viewer, to look
+        inside; `annotate` draws the axes and a scale bar.
         """
         from sppm_pipeline.features.browser.live.solid_view import render_solid
         from sppm_pipeline.services.pictures.sheets import annotated
@@ -117,14 +98,8 @@ def scene_of(
     threads: int = 1,
     max_samples: int = MAX_SAMPLES,
 ) -> Scene:
-    """Solid of a field, or the inside of a closed mesh.
-
-    Parameters
-    ----------
-    what : ScalarField or SurfaceMesh
-    resolution : int
-        Samples along a cell edge; fewer if there were more than `max_samples`. A mesh needs none.
-    threads, max_samples : int
+    """Solid of a field, with `resolution` samples along a cell edge, or fewer if there were more than `max_samples`;
+    or the inside of a closed mesh, which needs none.
     """
     from sppm_pipeline.features.browser.live.solid_view import COLORS, Solid
 
@@ -161,6 +136,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     from sppm_pipeline.features.browser.live.solid_view import Solid
 
     nx, ny, nz = grid.shape
+    # by scan lines the triangles themselves bound the part; otherwise its surface is sampled, too
     closed = part.method == "scanline"
     field = np.empty((nz, ny, nx), np.float32)
     skin = np.empty_like(field) if part.skin_mm else None
@@ -254,13 +230,11 @@ def voxel_picture(
     background: Background = "light",
     threads: int = 1,
 ) -> NDArray[np.uint8]:
-    """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles.
-
-    Only every second or third voxel of larger images than `MAX_SAMPLES` is looked at; no pixel would show the rest.
-    """
+    """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles."""
     from sppm_pipeline.features.browser.live.voxel_view import phase_surface
 
     phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
+    # only every second or third voxel of larger images is looked at; no pixel would show the rest
     step = math.ceil((phases.size / MAX_SAMPLES) ** (1 / 3))
     phases = phases[::step, ::step, ::step]
     if section is not None:

@@ -17,22 +17,11 @@ PHASE_COLORS = np.array(
 def phase_surface(
     phases: NDArray[np.uint8], spacing: tuple[float, float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
-    """Faces of voxels that border on void or on the outside.
+    """Faces of voxels, `phases` (nx, ny, nz) with 0 for void and edges `spacing`, that border on void or on the
+    outside.
 
-    Parameters
-    ----------
-    phases : (nx, ny, nz) uint8
-        0 for void.
-    spacing : (sx, sy, sz)
-        Edges of a voxel.
-
-    Returns
-    -------
-    vertices : (p, 3) float64
-    triangles : (n, 3) int64
-        Normals point outwards.
-    colors : (n, 3) uint8
-        Of the phase of the voxel behind each triangle.
+    Returned are vertices (p, 3), triangles (n, 3) whose normals point outwards, and for each the color (n, 3) uint8 of
+    the phase of the voxel behind it.
     """
     solid = np.pad(phases > 0, 1)
     inner = tuple(slice(1, -1) for _ in range(3))

@@ -30,10 +30,7 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 
 
 def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str = "") -> str:
-    """Curves over one number as an ``<svg>``; empty if there is nothing to draw.
-
-    The element states its axes in ``data-`` attributes, by which the page's script finds what was clicked on.
-    """
+    """Curves over one number as an ``<svg>``; empty if there is nothing to draw."""
     data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
     known = [np.isfinite(x) & np.isfinite(y) for x, y in data]
     if not any(k.any() for k in known):
@@ -70,6 +67,7 @@ def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str 
         f"{html.escape(y_label)}</text>"
     )
     parts += _legend([curve.label for curve in curves], LEFT + 12, TOP + 8)
+    # the page's script finds by these attributes what was clicked on
     where = f'id="{id_}" data-x0="{x0:.9g}" data-x1="{x1:.9g}" data-left="{LEFT}" data-right="{right}"' if id_ else ""
     name = html.escape(f"{y_label} over {x_label}", quote=True)
     return (
@@ -114,14 +112,8 @@ def chart_svg(chart: Chart) -> str:
 
 
 def polar_chart(curves: Sequence[Curve], label: str) -> str:
-    """Curves over the directions of a plane as an ``<svg>``; empty if there is nothing to draw.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        `x` are angles from the right (radians), `y` distances from the middle, finite and not all zero.
-    label : str
-        What the distances are, below the circles.
+    """Curves over the directions of a plane as an ``<svg>``, `x` the angles from the right (radians) and `y` distances
+    from the middle, finite and not all zero; empty if there is nothing to draw. `label` says what the distances are.
     """
     data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
     largest = max((float(radius.max()) for _, radius in data), default=0.0)

@@ -14,12 +14,8 @@ LONGEST = 24
 
 
 def wiring_svg(stages: Sequence[Mapping[str, Any]]) -> str:
-    """Boxes in rows by the longest way from a stage without inputs; empty for no stages.
-
-    Parameters
-    ----------
-    stages : sequence of mapping
-        `id`, `stage`, `state` ("done", "kept", "failed" or "missing"), `inputs` (port -> id) and `recipes`, in order.
+    """Boxes in rows by the longest way from a stage without inputs; empty for no stages. Of each stage, in order,
+    `id`, `stage`, `state` ("done", "kept", "failed" or "missing"), `inputs` (port -> id) and `recipes` are taken.
     """
     if not stages:
         return ""

@@ -75,6 +75,7 @@ class WriteSheet(Stage):
             data = Path(file.path).read_bytes()
         except OSError as error:
             raise InputError(f"cannot read {file.path}: {error.strerror}") from error
+        # the sheet must show what the recorded runs made
         if hashlib.sha256(data).hexdigest() != file.sha256:
             raise InputError(f"{file.path} was changed since its run wrote it", hint="run the sweep again")
         try:
