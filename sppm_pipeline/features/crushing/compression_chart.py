@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MARKS = {
-    "first maximum": "v",
-    "plateau end": "s",
-    "densification strain": "D",
-}
+MARKS = {"first maximum": "v", "plateau end": "s", "densification strain": "D"}
 """Measures that are points of a curve, and their signs."""
 
 

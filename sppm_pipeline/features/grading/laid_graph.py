@@ -190,9 +190,7 @@ _TRIED = 1024
 
 
 def _largest_inside(
-    sizes: NDArray[np.float64],
-    points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]],
-    curved: CurvedCells,
+    sizes: NDArray[np.float64], points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]], curved: CurvedCells
 ) -> float:
     """The largest of sizes (n,) of what has one of its points (chosen, k, 3) mm in a cell; of all if nothing has."""
     # from the smallest kernel (largest parameter) on, until one lies inside

@@ -61,11 +61,7 @@ def trial(
 
 
 def curve_of(
-    context: Context,
-    porosity: Callable[[int, int], float],
-    total: int,
-    targets: NDArray[np.float64],
-    trials: int,
+    context: Context, porosity: Callable[[int, int], float], total: int, targets: NDArray[np.float64], trials: int
 ) -> PorosityCurve:
     """The porosity of a recipe over the number of pores of a cell, wide enough for all targets (m,), beginning with
     `total`.
@@ -153,12 +149,7 @@ def in_rounds(
 
 
 def corrected(
-    context: Context,
-    number: int,
-    blocks: Cells,
-    pores: PoreSet,
-    cell: NDArray[np.integer],
-    excess: NDArray[np.float64],
+    context: Context, number: int, blocks: Cells, pores: PoreSet, cell: NDArray[np.integer], excess: NDArray[np.float64]
 ) -> Cells:
     """Scattered blocks whose pores are kept, but for some at random in cells of too many, and added to in others.
 

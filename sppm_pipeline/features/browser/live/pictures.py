@@ -92,11 +92,7 @@ class Scene:
 
 
 def scene_of(
-    what: ScalarField | SurfaceMesh,
-    resolution: int,
-    *,
-    threads: int = 1,
-    max_samples: int = MAX_SAMPLES,
+    what: ScalarField | SurfaceMesh, resolution: int, *, threads: int = 1, max_samples: int = MAX_SAMPLES
 ) -> Scene:
     """Solid of a field, with `resolution` samples along a cell edge, or fewer if there were more than `max_samples`;
     or the inside of a closed mesh, which needs none.

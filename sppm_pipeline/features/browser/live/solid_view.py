@@ -155,11 +155,7 @@ def render_solid(
 
 
 def _scene(
-    solid: Solid,
-    frame: Frame,
-    size: tuple[int, int],
-    section: tuple[Sequence[float], float] | None,
-    colors: Colors,
+    solid: Solid, frame: Frame, size: tuple[int, int], section: tuple[Sequence[float], float] | None, colors: Colors
 ) -> RayScene:
     width, height = size
     origin, h = np.array(solid.grid.origin), solid.grid.spacing[0]

@@ -71,10 +71,7 @@ class WritePicture(Stage):
             n -= 1
         grid = what.grid(n)
         return Size(
-            pixels=tiles * pixels,
-            samples=tiles * grid.samples,
-            sums=tiles * grid.sums,
-            resident=grid.samples + held,
+            pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples + held
         )
 
     def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:

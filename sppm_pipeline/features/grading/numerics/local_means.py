@@ -36,10 +36,7 @@ def block_counts(
 
 
 def smoothed_means(
-    values: NDArray[np.floating],
-    weights: NDArray[np.floating],
-    *,
-    mode: Literal["constant", "wrap"] = "constant",
+    values: NDArray[np.floating], weights: NDArray[np.floating], *, mode: Literal["constant", "wrap"] = "constant"
 ) -> NDArray[np.float64]:
     """Weighted means of block values (nx, ny, nz), `BLOCKS` along a cell edge, in a Gaussian window around each block;
     NaN where nothing has a weight. Beyond the ends there is nothing ("constant"), or the blocks repeat ("wrap").

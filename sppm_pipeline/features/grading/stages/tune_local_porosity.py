@@ -30,13 +30,7 @@ from sppm_pipeline.features.grading.curved_porosity import (
     fit_curved_level,
 )
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
-from sppm_pipeline.features.grading.local_porosity import (
-    HALF_RANGE,
-    RAMP,
-    LatticeCells,
-    cell_means,
-    error_summary,
-)
+from sppm_pipeline.features.grading.local_porosity import HALF_RANGE, RAMP, LatticeCells, cell_means, error_summary
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level
