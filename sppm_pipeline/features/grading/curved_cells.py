@@ -33,9 +33,7 @@ _STEP = 1e-5
 
 
 class Places(NamedTuple):
-    """Points in cells: numbers of the cells (n,), -1 outside of all, and places in these along their axes (n, 3), 0 to
-    1.
-    """
+    """Points in cells: numbers of the cells (n,), -1 outside of all, and places in these (n, 3), 0 to 1 along axes."""
 
     cell: NDArray[np.int32]
     within: NDArray[np.float64]
@@ -103,8 +101,8 @@ class CurvedCells(ABC):
     def inner(
         self, per_axis: int, cells: NDArray[np.integer] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points in cells, all of them unless given, (cells, per_axis^3, 3) mm, and the volume that each stands for,
-        (cells, per_axis^3).
+        """Points in all or some cells, (cells, per_axis^3, 3) mm, and volumes that they stand for, (cells,
+        per_axis^3).
         """
         chosen = np.arange(self.count) if cells is None else cells
         t = (np.arange(per_axis) + 0.5) / per_axis

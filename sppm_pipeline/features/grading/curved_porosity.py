@@ -77,8 +77,8 @@ class CellShares(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Points (k, 3) in cells, mm, with their cells, the volume that each stands for, the value of the field there, and
-    whether the part holds them.
+    """Points (k, 3) in cells, mm: cells, volumes that they stand for, values of the field, whether the part holds
+    them.
     """
 
     points: NDArray[np.float64]
@@ -184,9 +184,7 @@ class CurvedSamples:
         return CellShares(inside / whole, void / np.maximum(inside, 1e-300))
 
     def for_level(self, lattice: ControlLattice) -> tuple[list[CellSamples], NDArray[np.float64]]:
-        """Samples in the part, and the share of each cell that lies in it; values are ln G of a sum G of kernels, or
-        those of the field.
-        """
+        """Samples in the part, of ln G for a sum G of kernels or of the field, and the share of each cell in it."""
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
         made, totals = [], np.zeros((2, self.curved.count))
@@ -226,9 +224,7 @@ def fit_curved_level(
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[LevelField, LevelFit, NDArray[np.bool_]]:
-    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation;
-    `DesignError` if no cell lies in the part.
-    """
+    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation."""
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
     blend = blending(lattice, curved.centers, curved.frames)

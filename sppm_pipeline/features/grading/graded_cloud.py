@@ -42,9 +42,7 @@ FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "str
 
 
 def scattered_by_maps(context: Context, grading: Grading, wanted: Scattering) -> Tiling | None:
-    """Pores of a lattice that follow maps; None if no map changes what is scattered. `ConfigError` if the lattice
-    repeats, or the porosity is given twice.
-    """
+    """Pores of a lattice that follow maps; None if no map changes what is scattered."""
     if not any(name in grading for name in FOLLOWED):
         return None
     if wanted.periodic:

@@ -26,9 +26,7 @@ def check_path(path: Path) -> None:
 
 
 def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = None) -> HexahedralMesh:
-    """The mesh of what was read, mm, checked; a warning names an unexpected order of nodes. `InputError` names an
-    element if they do not fit together.
-    """
+    """The mesh of what was read, mm, checked (`InputError` names an element); a warning names an odd order of nodes."""
     try:
         mesh = checked_mesh(read.points * UNITS_IN_MM[unit], read.elements)
     except ValueError as error:

@@ -36,9 +36,7 @@ _AXES = np.eye(3, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class JoinedSets(Artifact):
-    """Two tile sets to be laid in one part; `per_edge` are the cells of either along the edge of the larger one's, of
-    which one is 1.
-    """
+    """Two tile sets to be laid in one part, and cells of each along the edge of the larger one's, of which one is 1."""
 
     reported: ClassVar[tuple[str, ...]] = ("first.*", "second.*")
 

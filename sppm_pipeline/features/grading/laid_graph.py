@@ -141,9 +141,7 @@ def _sites(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> _Sites:
 
 
 def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
-    """The graph of a tiling and of one more cell on all sides, or of one turn along axes that wrap around; tunnels
-    that lead farther out are left out.
-    """
+    """The graph of a tiling and one more cell on all sides, or of one turn along axes that wrap, and no farther."""
     micro = tiling.tileset.micro
     graph, sites = micro.graph, _sites(tiling, wrap)
     omega, mu = kernel_sizes(micro)

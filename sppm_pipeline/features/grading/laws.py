@@ -144,9 +144,7 @@ class ImageLaw(DataLaw):
 
 @dataclass(frozen=True, eq=False)
 class PointsLaw(DataLaw):
-    """Samples at points (m, 3) mm: linear in tetrahedra ("linear"), the value of the nearest one ("nearest"), or a
-    mean by inverse distances ("idw").
-    """
+    """Samples at points (m, 3) mm: linear in tetrahedra, "nearest", or a mean by inverse distances, "idw"."""
 
     points: NDArray[np.float64]
     values: NDArray[np.float64]

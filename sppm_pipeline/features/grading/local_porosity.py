@@ -34,9 +34,7 @@ LEAST_SHARE = 0.25
 def cell_means(
     grading: Grading, name: str, edge: float, origin: tuple[float, float, float], cells: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Means of a map over cells (m, 3) of a lattice, (m,); `edge` is that of a cell and `origin` the low corner of
-    cell (0, 0, 0), in mm.
-    """
+    """Means (m,) of a map over cells (m, 3) of an edge, mm, of the lattice whose cell (0, 0, 0) begins at `origin`."""
     cells = np.asarray(cells, np.int64)
     key = (name, edge, origin, cells.tobytes())
     kept = _MEANS.get(grading)

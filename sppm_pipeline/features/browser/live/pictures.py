@@ -94,9 +94,7 @@ class Scene:
 def scene_of(
     what: ScalarField | SurfaceMesh, resolution: int, *, threads: int = 1, max_samples: int = MAX_SAMPLES
 ) -> Scene:
-    """Solid of a field, with `resolution` samples along a cell edge, or fewer if there were more than `max_samples`;
-    or the inside of a closed mesh, which needs none.
-    """
+    """Solid of a field, of up to `max_samples`, `resolution` along a cell edge; or the inside of a closed mesh."""
     from sppm_pipeline.features.browser.live.solid_view import COLORS, Solid
 
     if isinstance(what, SurfaceMesh):

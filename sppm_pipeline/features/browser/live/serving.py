@@ -78,9 +78,7 @@ class LocalHandler(BaseHTTPRequestHandler):
 
 
 class LocalServer(ThreadingHTTPServer):
-    """A server of this machine for a browser of this machine, at `address`, on any free port for 0; `ResourceError` if
-    the port can't be had.
-    """
+    """Server for a browser of this machine, on any free port for 0; `ResourceError` if the port can't be had."""
 
     daemon_threads = True
     block_on_close = False

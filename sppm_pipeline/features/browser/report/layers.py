@@ -54,9 +54,7 @@ class Layers(NamedTuple):
 
 
 def layers_of(path: Path, outputs: Sequence[Mapping[str, Any]], budget: int) -> Layers | None:
-    """The layers, of at most `budget` bytes, that a run has written as a folder of PNG files, by its recorded
-    `outputs`; None if there is none that can be read.
-    """
+    """Layers that a run has written as a folder of PNG files, of at most `budget` bytes; None if none can be read."""
     for output in outputs:
         folder = path / str(output.get("path"))
         if "files" not in output or not (folder / "manifest.json").is_file():

@@ -132,16 +132,12 @@ class Design:
         return with_values(self.text, {key: value for key, value in changes.items() if key not in same})
 
     def cell(self, changes: Mapping[str, Any], target: str) -> tuple[dict[str, Any], bytes]:
-        """Run the changed configuration: its text and numbers, and a view file; `SppmError` says what is wrong with
-        the values, and `Superseded` that a newer request has come.
-        """
+        """Text, numbers and view file of the changed configuration; `SppmError` or `Superseded` if there is none."""
         with self._turn():
             return self._cell(changes, target)
 
     def numbers(self, changes: Mapping[str, Any], target: str) -> dict[str, Any]:
-        """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none. Errors as
-        of `cell`.
-        """
+        """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none."""
         with self._turn():
             text = self.text_with(changes)
             if self._last is None or self._last[0] != (text, target):

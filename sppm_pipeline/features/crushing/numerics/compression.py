@@ -75,9 +75,7 @@ def loading_branch(strain: ArrayLike, stress: ArrayLike) -> tuple[Array, Array]:
 
 
 def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
-    """A curve in steps of 0.1 % strain; from no strain to its first reading it rises from no stress. `ValueError` if
-    it is shorter than three steps.
-    """
+    """A curve in steps of 0.1 % strain, three or more; from no strain to its first reading it rises from no stress."""
     e, s = loading_branch(strain, stress)
     spacing = float(np.median(np.diff(e))) if len(e) > 1 else 0.0
     if e[0] > 0:
@@ -195,16 +193,12 @@ def densification(curve: Loading, within: float) -> tuple[float, float] | None:
 
 
 def work_ratio(energy: float, stress: float, area: float, displacement: float) -> float:
-    """Energy (J) over force times way, of stress (MPa), area (mm2) and displacement (mm): more than 1 is impossible if
-    the force is the largest on that way.
-    """
+    """Energy (J) over stress (MPa) times area (mm2) times way (mm): at most 1 for the largest force on that way."""
     return energy / (stress * area * displacement * 1e-3)
 
 
 def mean_and_spread(curves: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[Array, Array, Array]:
-    """Strains in steps of 0.1 %, mean stress of several specimens and its sample standard deviation, to the shortest,
-    of two or more (strain, stress).
-    """
+    """Strains in steps of 0.1 % to the shortest of two or more curves, mean stress and sample standard deviation."""
     each = [loading(*one) for one in curves]
     n = min(len(one.strain) for one in each)
     stresses = np.array([one.stress[:n] for one in each])

@@ -61,9 +61,7 @@ def place(
     x: NDArray[Any], v: NDArray[Any], dt: float, corners: NDArray[Any], active: NDArray[Any], first: int, last: int,
     balls: NDArray[Any],
 ) -> None:  # fmt: skip
-    """Write the positions of the balls (voxels, 8, 3) of voxels `first` to `last` of the `active` ones a time `dt`
-    ago.
-    """
+    """Write positions (voxels, 8, 3) of the balls of voxels `first` to `last` of `active`, a time `dt` ago."""
     for at in range(first, last):
         voxel = active[at]
         for a in range(8):
@@ -166,9 +164,7 @@ def search(
 
 @jit
 def list_partners(pairs: NDArray[Any], starts: NDArray[Any], partners: NDArray[Any]) -> None:
-    """The partners of each ball, from pairs (n, 2) of balls: where they begin in `starts` (balls + 1,), and they
-    themselves in `partners` (2 n,).
-    """
+    """The partners of each ball, from pairs (n, 2): where they begin, (balls + 1,), and they themselves, (2 n,)."""
     starts[:] = 0
     for pair in range(len(pairs)):
         starts[pairs[pair, 0] + 1] += 1

@@ -13,18 +13,14 @@ Array = NDArray[np.float64]
 
 
 class Blank(NamedTuple):
-    """Deflection of a machine without a specimen: displacement (n,) over force (n,), neither of which ever falls, from
-    0 at the smallest force.
-    """
+    """Deflection (n,) of a machine without a specimen over force (n,); neither ever falls, 0 at the smallest force."""
 
     force: Array
     displacement: Array
 
 
 def blank_run(force: ArrayLike, displacement: ArrayLike) -> Blank:
-    """The monotone curve of least squares through a run without a specimen, loading and unloading taken together;
-    `ValueError` if it has fewer than two forces.
-    """
+    """Monotone curve of least squares through a run without a specimen, loading and unloading taken together."""
     from scipy.optimize import isotonic_regression
 
     f, d = np.asarray(force, np.float64), np.asarray(displacement, np.float64)
@@ -38,9 +34,7 @@ def blank_run(force: ArrayLike, displacement: ArrayLike) -> Blank:
 
 
 def without_blank(force: ArrayLike, displacement: ArrayLike, blank: Blank) -> Array:
-    """Displacement of the specimen alone; `ValueError` if the test goes to larger forces than the run without a
-    specimen.
-    """
+    """Displacement of the specimen alone; `ValueError` if its forces exceed those of the run without a specimen."""
     f = np.asarray(force, np.float64)
     if f.max() > blank.force[-1]:
         raise ValueError(
@@ -50,9 +44,7 @@ def without_blank(force: ArrayLike, displacement: ArrayLike, blank: Blank) -> Ar
 
 
 def after_preload(force: ArrayLike, displacement: ArrayLike, preload: float) -> tuple[Array, Array]:
-    """Readings from the first force of `preload` on, whose displacement becomes zero; `ValueError` if the force never
-    gets there.
-    """
+    """Readings from the first force of `preload` on, where displacement becomes zero; `ValueError` without any."""
     f, d = np.asarray(force, np.float64), np.asarray(displacement, np.float64)
     reached = np.flatnonzero(f >= preload)
     if not len(reached):

@@ -37,9 +37,7 @@ _ROOT = (2 / 3) ** 0.5
 
 
 class Material(NamedTuple):
-    """An isotropic material; the yield stress by equivalent plastic strain rises in strain from 0, is linear between
-    and constant beyond, and empty for a hyperelastic material.
-    """
+    """An isotropic material; its yield stress is linear between plastic strains, constant beyond, empty if elastic."""
 
     young: float
     poisson: float

@@ -66,9 +66,7 @@ class PoreParameters(NamedTuple):
 def equivalent_fluid(
     pores: PoreParameters, gas: Gas, frequency: ArrayLike
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Density (kg / m^3) and bulk modulus (Pa) of the fluid that takes the place of material and gas, at positive
-    frequencies (n,) in Hz.
-    """
+    """Density (kg / m^3) and bulk modulus (Pa) of the fluid for material and gas, at frequencies (n,) > 0 in Hz."""
     omega = 2 * np.pi * np.asarray(frequency, np.float64)
     phi, turns = pores.porosity, pores.tortuosity
     # viscous losses act on the density: dimensionless frequency w and shape factor M, with the viscous length Lambda

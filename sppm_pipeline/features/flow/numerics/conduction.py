@@ -157,9 +157,7 @@ def tortuosity(effective: NDArray[np.float64], fraction: float, bulk: float = 1.
 
 
 class ConductionLevel:
-    """One grid of a conductor with conductivities `k` (nz, ny, nx) of voxels with `edges` (hx, hy, hz); see
-    `multigrid.hierarchy.Level`.
-    """
+    """One grid of conductivities `k` (nz, ny, nx), voxels of `edges` (hx, hy, hz); see `multigrid.hierarchy.Level`."""
 
     components = 1
 

@@ -64,9 +64,7 @@ class FlowHomogenizer(Homogenizer):
         return faces, float(self.resolution)
 
     def flow_of(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
-        """Solve for the flow along each axis; `DesignError` if no walls are across an axis, or they are too thin to be
-        seen.
-        """
+        """The flow along each axis; `DesignError` if no walls are across one, or they are too thin to be seen."""
         from sppm_pipeline.features.flow.numerics.faces import percolating
         from sppm_pipeline.features.flow.numerics.stokes import stokes_flow
 

@@ -28,9 +28,7 @@ _CELLS_AT_A_TIME = 2000
 
 
 class ControlLattice(NamedTuple):
-    """Lattice of the control points of the spline, in the middles of small cells of an edge, mm; `origin` is the
-    low corner of the first one.
-    """
+    """Control points of the spline: middles of small cells of an edge, mm, the first of which begins at `origin`."""
 
     shape: tuple[int, int, int]
     edge: float
@@ -180,9 +178,7 @@ BYTES_OF_A_SAMPLE = 24
 def porosities_and_slopes(
     samples: list[CellSamples], control: NDArray[np.float64], cells: int, half_width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Share of each cell at or above the level, and its change with the level, by the samples within `half_width` of
-    it.
-    """
+    """Share of each cell at or above the level, and its change with it by samples within `half_width` of the level."""
     totals = np.zeros((3, cells))
     padded = np.pad(control, 1, mode="edge")
     for some in samples:

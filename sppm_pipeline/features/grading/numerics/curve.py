@@ -36,9 +36,7 @@ class PorosityCurve(NamedTuple):
 
 
 def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
-    """The curve through the means of equal counts; `DesignError` if the porosity does not grow with the number of
-    pores.
-    """
+    """The curve through the means of equal counts; `DesignError` if porosity does not grow with the number of pores."""
     n, value = np.array(counts), np.array(porosities)
     order = np.unique(n)
     means = np.array([value[n == c].mean() for c in order])

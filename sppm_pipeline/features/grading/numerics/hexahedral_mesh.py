@@ -198,9 +198,7 @@ def _bilinear(
 
 
 def split(corners: NDArray[np.float64], parts: tuple[int, int, int]) -> NDArray[np.float64]:
-    """Hexahedra cut into so many along each axis, exactly: (m, 2, 2, 2, 3) to (m parts, 2, 2, 2, 3), those of one
-    after each other, z fastest.
-    """
+    """Hexahedra cut along each axis, exactly: (m, 2, 2, 2, 3) to (m parts, 2, 2, 2, 3), parts in a row, z fastest."""
     m = len(corners)
     axes = [np.arange(n + 1) / n for n in parts]
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1)

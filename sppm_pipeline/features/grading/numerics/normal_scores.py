@@ -25,9 +25,7 @@ class ScoreTable(NamedTuple):
 
 
 def score_table(samples: NDArray[np.floating]) -> ScoreTable:
-    """The table of a field, negative in the solid, from samples of equal weight; the score of 0 is exact. `ValueError`
-    if all are solid, or all are void.
-    """
+    """The table of a field from samples of equal weight; the score of 0 is exact. `ValueError` if all have one sign."""
     from scipy.special import ndtr, ndtri
 
     zero = ndtri((samples < 0).mean())
