@@ -133,21 +133,10 @@ def _push(s: NDArray[Any], mu: Any) -> None:
 
 @jit
 def forces(
-    x: NDArray[Any],
-    corners: NDArray[Any],
-    phases: NDArray[Any],
-    slabs: NDArray[Any],
-    first: int,
-    last: int,
-    table: NDArray[Any],
-    state: NDArray[Any],
-    surface: NDArray[Any],
-    pushed: NDArray[Any],
-    push: NDArray[Any],
-    s: NDArray[Any],
-    f: NDArray[Any],
-    sums: NDArray[Any],
-) -> None:
+    x: NDArray[Any], corners: NDArray[Any], phases: NDArray[Any], slabs: NDArray[Any], first: int, last: int,
+    table: NDArray[Any], state: NDArray[Any], surface: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any],
+    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any],
+) -> None:  # fmt: skip
     """Add the forces of every second slab of elements to those of the nodes, and advance the elements' state.
 
     Slabs first, first + 2, ... below last: those of the same parity share no nodes, so that threads may work on them

@@ -28,18 +28,9 @@ SUMS = 6
 
 @jit
 def move(
-    x: NDArray[Any],
-    v: NDArray[Any],
-    f: NDArray[Any],
-    mass: NDArray[Any],
-    own: NDArray[Any],
-    held: NDArray[Any],
-    listed: NDArray[Any],
-    first: int,
-    last: int,
-    step: NDArray[Any],
-    sums: NDArray[Any],
-) -> None:
+    x: NDArray[Any], v: NDArray[Any], f: NDArray[Any], mass: NDArray[Any], own: NDArray[Any], held: NDArray[Any],
+    listed: NDArray[Any], first: int, last: int, step: NDArray[Any], sums: NDArray[Any],
+) -> None:  # fmt: skip
     """One step of leapfrog for the chunks `first` to `last` of nodes; forces are reset to 0.
 
     `x`, `v`, `f` (nodes, 3) are positions, velocities half a step before, forces; `mass` and `own` (nodes,) with and

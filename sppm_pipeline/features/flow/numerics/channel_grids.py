@@ -194,14 +194,9 @@ def _graph(matrix: Any, up: Any) -> _Graph:
 
 @jit
 def pieces_of_blocks(
-    diagonal: NDArray[np.float32],
-    wx: NDArray[np.float32],
-    wy: NDArray[np.float32],
-    wz: NDArray[np.float32],
-    shape: NDArray[np.int64],
-    piece: NDArray[np.int32],
-    block: NDArray[np.int64],
-) -> int:
+    diagonal: NDArray[np.float32], wx: NDArray[np.float32], wy: NDArray[np.float32], wz: NDArray[np.float32],
+    shape: NDArray[np.int64], piece: NDArray[np.int32], block: NDArray[np.int64],
+) -> int:  # fmt: skip
     """Number the connected pieces within each block of 2 x 2 x 2 voxels; returns how many there are.
 
     `diagonal` and weights are those of a `SevenPointLevel`, (nz, ny, nx) flat; where the diagonal is 0, there is no
@@ -287,17 +282,10 @@ def leave(
 
 @jit
 def relax_from_zero(
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float32],
-    inverse: NDArray[np.float32],
-    r: NDArray[np.float32],
-    z: NDArray[np.float32],
-    up_starts: NDArray[np.int32],
-    up_columns: NDArray[np.int32],
-    up_values: NDArray[np.float32],
-    coarse: NDArray[np.float32],
-) -> None:
+    starts: NDArray[np.int32], columns: NDArray[np.int32], values: NDArray[np.float32], inverse: NDArray[np.float32],
+    r: NDArray[np.float32], z: NDArray[np.float32], up_starts: NDArray[np.int32], up_columns: NDArray[np.int32],
+    up_values: NDArray[np.float32], coarse: NDArray[np.float32],
+) -> None:  # fmt: skip
     """A sweep of Gauss and Seidel forward from zero, and the restriction of what it leaves of the right-hand side."""
     z[:] = 0
     for i in range(len(r)):
@@ -311,17 +299,10 @@ def relax_from_zero(
 
 @jit
 def relax_back(
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float32],
-    inverse: NDArray[np.float32],
-    r: NDArray[np.float32],
-    up_starts: NDArray[np.int32],
-    up_columns: NDArray[np.int32],
-    up_values: NDArray[np.float32],
-    coarse: NDArray[np.float32],
-    z: NDArray[np.float32],
-) -> None:
+    starts: NDArray[np.int32], columns: NDArray[np.int32], values: NDArray[np.float32], inverse: NDArray[np.float32],
+    r: NDArray[np.float32], up_starts: NDArray[np.int32], up_columns: NDArray[np.int32],
+    up_values: NDArray[np.float32], coarse: NDArray[np.float32], z: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Add what is interpolated from a coarse correction, and sweep backward."""
     for i in range(len(r)):
         z[i] += _row(up_starts, up_columns, up_values, i, coarse)

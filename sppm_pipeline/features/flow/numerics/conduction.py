@@ -269,17 +269,9 @@ def _brick_row(s: NDArray[Any], k: NDArray[Any], at: Any, c: NDArray[Any], first
 
 @jit
 def apply_conductivity(
-    mode: int,
-    v: NDArray[Any],
-    r: NDArray[Any],
-    weight: NDArray[Any],
-    k: NDArray[Any],
-    c: NDArray[Any],
-    shape: NDArray[np.int64],
-    out: NDArray[Any],
-    plane: NDArray[Any],
-    s: NDArray[Any],
-) -> float:
+    mode: int, v: NDArray[Any], r: NDArray[Any], weight: NDArray[Any], k: NDArray[Any], c: NDArray[Any],
+    shape: NDArray[np.int64], out: NDArray[Any], plane: NDArray[Any], s: NDArray[Any],
+) -> float:  # fmt: skip
     """Fluxes ``f = K v`` of potentials, or what a solver needs of them; compare `elastic_operator.apply_stiffness`.
 
     `v`, `r`, `weight` and `out` are (nz, ny, nx) flat, `plane` is (ny, nx) flat; `k` has rows padded as by
@@ -320,14 +312,9 @@ def apply_conductivity(
 
 @jit
 def flow_energies(
-    u: NDArray[Any],
-    k: NDArray[Any],
-    c: NDArray[Any],
-    shape: NDArray[np.int64],
-    first: int,
-    last: int,
+    u: NDArray[Any], k: NDArray[Any], c: NDArray[Any], shape: NDArray[np.int64], first: int, last: int,
     out: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """Add the mutual energies (3, 3) of the potentials `u` (3, nz, ny, nx), whose mean gradients are along x, y, z, in
     the layers ``first <= z < last`` of voxels; in `c` (10,) all gradients that are added are one. See
     `elastic_energy.energies`.

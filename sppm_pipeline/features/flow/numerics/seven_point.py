@@ -56,18 +56,9 @@ def _beside(w: NDArray[Any], wat: Any, v: NDArray[Any], vat: Any, s: NDArray[Any
 
 @jit
 def apply_seven_point(
-    mode: int,
-    v: NDArray[Any],
-    r: NDArray[Any],
-    weight: NDArray[Any],
-    diagonal: NDArray[Any],
-    wx: NDArray[Any],
-    wy: NDArray[Any],
-    wz: NDArray[Any],
-    shape: NDArray[np.int64],
-    out: NDArray[Any],
-    s: NDArray[Any],
-) -> float:
+    mode: int, v: NDArray[Any], r: NDArray[Any], weight: NDArray[Any], diagonal: NDArray[Any], wx: NDArray[Any],
+    wy: NDArray[Any], wz: NDArray[Any], shape: NDArray[np.int64], out: NDArray[Any], s: NDArray[Any],
+) -> float:  # fmt: skip
     """The operator, or what a solver needs of it; compare `elastic_operator.apply_stiffness`.
 
     All arrays are (nz, ny, nx) flat, but for `shape` (nx, ny, nz) and the scratch `s` (SCRATCH_ROWS * STRIDE,); `wx`,
@@ -215,14 +206,9 @@ def _collect(fine: NDArray[Any], at: Any, n: Any, m: Any, far: Any, s: NDArray[A
 
 @jit
 def interpolate_cells_add(
-    coarse: NDArray[Any],
-    out: NDArray[Any],
-    weight: NDArray[Any],
-    fine_size: NDArray[np.int64],
-    coarse_size: NDArray[np.int64],
-    far: Any,
-    s: NDArray[Any],
-) -> None:
+    coarse: NDArray[Any], out: NDArray[Any], weight: NDArray[Any], fine_size: NDArray[np.int64],
+    coarse_size: NDArray[np.int64], far: Any, s: NDArray[Any],
+) -> None:  # fmt: skip
     """Add the interpolated coarse vector to a fine one, where `weight` is not 0.
 
     `coarse`, `out` and `weight` are flat, of (nz, ny, nx), sizes (nx, ny, nz); `far` is the share of the second
@@ -255,14 +241,9 @@ def _gather(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, n: Any) ->
 
 @jit
 def restrict_cells(
-    fine: NDArray[Any],
-    out: NDArray[Any],
-    weight: NDArray[Any],
-    fine_size: NDArray[np.int64],
-    coarse_size: NDArray[np.int64],
-    far: Any,
-    s: NDArray[Any],
-) -> None:
+    fine: NDArray[Any], out: NDArray[Any], weight: NDArray[Any], fine_size: NDArray[np.int64],
+    coarse_size: NDArray[np.int64], far: Any, s: NDArray[Any],
+) -> None:  # fmt: skip
     """The transpose of `interpolate_cells_add`, 0 where `weight`, of the coarse grid here, is 0; arguments as there."""
     nx, ny, nz = np.uint64(fine_size[0]), np.uint64(fine_size[1]), np.uint64(fine_size[2])
     mx, my, mz = np.uint64(coarse_size[0]), np.uint64(coarse_size[1]), np.uint64(coarse_size[2])

@@ -358,14 +358,9 @@ def _outflow(
 
 @jit
 def couple(
-    u: NDArray[Any],
-    p: NDArray[Any],
-    weights: NDArray[np.float32],
-    factors: NDArray[Any],
-    shape: NDArray[np.int64],
-    gradient: NDArray[Any],
-    inflow: NDArray[Any],
-) -> None:
+    u: NDArray[Any], p: NDArray[Any], weights: NDArray[np.float32], factors: NDArray[Any], shape: NDArray[np.int64],
+    gradient: NDArray[Any], inflow: NDArray[Any],
+) -> None:  # fmt: skip
     """Add the gradient of the pressure to what acts on faces, and write the inflow into each voxel.
 
     `u`, `weights` and `gradient` are on the faces of the families x, y, z, (3 nz ny nx,), and the weights count in

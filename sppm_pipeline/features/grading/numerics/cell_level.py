@@ -69,17 +69,10 @@ def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDAr
 
 @jit
 def _weights(
-    low: NDArray[np.int64],
-    high: NDArray[np.int64],
-    shape: NDArray[np.int64],
-    edge: float,
-    origin: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    point: NDArray[np.int64],
-    cell: NDArray[np.int64],
-    weight: NDArray[np.float64],
-) -> int:
+    low: NDArray[np.int64], high: NDArray[np.int64], shape: NDArray[np.int64], edge: float,
+    origin: NDArray[np.float64], centers: NDArray[np.float64], inverse: NDArray[np.float64], point: NDArray[np.int64],
+    cell: NDArray[np.int64], weight: NDArray[np.float64],
+) -> int:  # fmt: skip
     count = 0
     for c in range(len(centers)):
         for i in range(low[c, 0], high[c, 0]):
@@ -189,14 +182,9 @@ def porosities_and_slopes(
 
 @jit
 def _compare(
-    place: NDArray[np.float32],
-    cell: NDArray[np.int32],
-    value: NDArray[np.float32],
-    volume: NDArray[np.float32],
-    padded: NDArray[np.float64],
-    half_width: float,
-    totals: NDArray[np.float64],
-) -> None:
+    place: NDArray[np.float32], cell: NDArray[np.int32], value: NDArray[np.float32], volume: NDArray[np.float32],
+    padded: NDArray[np.float64], half_width: float, totals: NDArray[np.float64],
+) -> None:  # fmt: skip
     """Sums by cell of the volume, of that at or above the level, and of that near it."""
     own = np.empty(3, np.int64)
     w = np.empty((3, 3))

@@ -83,15 +83,9 @@ def _remove_last(cells: CellList) -> None:
 
 @jit
 def _throw(
-    cells: CellList,
-    kept: NDArray[np.float64],
-    stream: NDArray[np.uint64],
-    nodes: NDArray[np.float64],
-    quotas: NDArray[np.int64],
-    spacings: NDArray[np.float64],
-    by_volume: bool,
-    missing: NDArray[np.int64],
-) -> None:
+    cells: CellList, kept: NDArray[np.float64], stream: NDArray[np.uint64], nodes: NDArray[np.float64],
+    quotas: NDArray[np.int64], spacings: NDArray[np.float64], by_volume: bool, missing: NDArray[np.int64],
+) -> None:  # fmt: skip
     p, d = np.empty(3), np.empty((3, 3))
     metric = np.empty(0)
     for e in range(len(quotas)):
@@ -126,13 +120,9 @@ def _throw(
 
 @jit
 def _take(
-    cells: CellList,
-    kept: NDArray[np.float64],
-    candidates: NDArray[np.float64],
-    spacings: NDArray[np.float64],
-    group: NDArray[np.int64],
-    left: NDArray[np.int64],
-) -> None:
+    cells: CellList, kept: NDArray[np.float64], candidates: NDArray[np.float64], spacings: NDArray[np.float64],
+    group: NDArray[np.int64], left: NDArray[np.int64],
+) -> None:  # fmt: skip
     metric = np.empty(0)
     for n in range(len(candidates)):
         p = candidates[n]

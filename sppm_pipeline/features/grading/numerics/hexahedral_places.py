@@ -68,13 +68,9 @@ def places_in(
 
 @jit
 def _places_in(
-    order: NDArray[np.int64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    nodes: NDArray[np.float64],
-    points: NDArray[np.float64],
-    apart: int,
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    order: NDArray[np.int64], boxes: NDArray[np.float64], starts: NDArray[np.int64], nodes: NDArray[np.float64],
+    points: NDArray[np.float64], apart: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:  # fmt: skip
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
     found = np.full(points.shape[0], -1, np.int32)

@@ -81,21 +81,11 @@ _DONE, _MORE_PLANES, _MORE_ROOM = 0, 1, 2
 
 @jit
 def _clip_all(
-    points: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    empty: float,
-    spacing: float,
-    face: NDArray[np.float64],
-    corner: NDArray[np.float64],
-    triple: NDArray[np.int32],
-    rim: NDArray[np.int32],
-    distance: NDArray[np.float64],
-    near: NDArray[np.int64],
-    first: NDArray[np.int64],
-    planes: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-) -> int:
+    points: NDArray[np.float64], centers: NDArray[np.float64], empty: float, spacing: float,
+    face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], rim: NDArray[np.int32],
+    distance: NDArray[np.float64], near: NDArray[np.int64], first: NDArray[np.int64], planes: NDArray[np.float64],
+    lower: NDArray[np.float64], upper: NDArray[np.float64],
+) -> int:  # fmt: skip
     """Clip the boxes of all centers; `points` are sorted along x. The arrays from `face` to `near` are work space."""
     total = 0
     for k in range(len(centers)):
@@ -176,15 +166,9 @@ def _farthest(corner: NDArray[np.float64], corners: int) -> float:
 
 @jit
 def _shell(
-    points: NDArray[np.float64],
-    cx: float,
-    cy: float,
-    cz: float,
-    inner: float,
-    outer: float,
-    distance: NDArray[np.float64],
-    near: NDArray[np.int64],
-) -> int:
+    points: NDArray[np.float64], cx: float, cy: float, cz: float, inner: float, outer: float,
+    distance: NDArray[np.float64], near: NDArray[np.int64],
+) -> int:  # fmt: skip
     """Points with inner < distance <= outer, nearest first; `distance` receives their squares."""
     found = 0
     low = np.searchsorted(points[:, 0], cx - outer)
@@ -208,14 +192,9 @@ def _shell(
 
 @jit
 def _cut(
-    face: NDArray[np.float64],
-    new: int,
-    corner: NDArray[np.float64],
-    triple: NDArray[np.int32],
-    rim: NDArray[np.int32],
-    corners: int,
-    tolerance: float,
-) -> int:
+    face: NDArray[np.float64], new: int, corner: NDArray[np.float64], triple: NDArray[np.int32],
+    rim: NDArray[np.int32], corners: int, tolerance: float,
+) -> int:  # fmt: skip
     """Cut a cell by the plane `new`; returns the number of its corners, -1 if the arrays are too small."""
     nx, ny, nz, offset = face[new, 0], face[new, 1], face[new, 2], face[new, 3]
     kept = 0

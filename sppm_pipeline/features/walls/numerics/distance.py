@@ -118,26 +118,12 @@ def _sorted_planes(
 
 @jit
 def _raise_cells(
-    out: NDArray[np.float32],
-    shape: tuple[int, int, int],
-    first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    first: NDArray[np.int64],
-    planes: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    rounding: float,
-    least: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    total: NDArray[np.float32],
-    slope: NDArray[np.float32],
-    lines: NDArray[np.float32],
-    own: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    room: NDArray[np.float64],
-) -> None:
+    out: NDArray[np.float32], shape: tuple[int, int, int], first_layer: int, origin: NDArray[np.float64],
+    spacing: NDArray[np.float64], centers: NDArray[np.float64], first: NDArray[np.int64], planes: NDArray[np.float64],
+    lower: NDArray[np.float64], upper: NDArray[np.float64], rounding: float, least: NDArray[np.float32],
+    shift: NDArray[np.float32], total: NDArray[np.float32], slope: NDArray[np.float32], lines: NDArray[np.float32],
+    own: NDArray[np.float64], inverse: NDArray[np.float64], room: NDArray[np.float64],
+) -> None:  # fmt: skip
     """Process every row of every cell; the arrays from `least` on are scratch."""
     nz, ny, nx = shape
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
@@ -197,14 +183,9 @@ def _near(
 
 @inline_jit
 def _add_rests(
-    total: NDArray[np.float32],
-    slope: NDArray[np.float32],
-    least: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    blocks: int,
-    value: np.float32,
-    step: np.float32,
-) -> None:
+    total: NDArray[np.float32], slope: NDArray[np.float32], least: NDArray[np.float32], shift: NDArray[np.float32],
+    blocks: int, value: np.float32, step: np.float32,
+) -> None:  # fmt: skip
     """Add the contribution of a plane to the sum and to its slope; `value` is that of the plane less the radius."""
     for i in range(np.uint64(blocks) << _SHIFT):
         rest = max(least[i] - shift[i] - value - step * np.float32(np.int32(i)), _ZERO)
@@ -232,15 +213,9 @@ def _lower(least: NDArray[np.float32], shift: NDArray[np.float32], blocks: int) 
 
 @inline_jit
 def _soften(
-    least: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    total: NDArray[np.float32],
-    slope: NDArray[np.float32],
-    lines: NDArray[np.float32],
-    count: int,
-    blocks: int,
-    radius: np.float32,
-) -> None:
+    least: NDArray[np.float32], shift: NDArray[np.float32], total: NDArray[np.float32], slope: NDArray[np.float32],
+    lines: NDArray[np.float32], count: int, blocks: int, radius: np.float32,
+) -> None:  # fmt: skip
     """Lower the minimum of some lines to their soft minimum, by Newton's method for a whole row at once.
 
     The sum of ``max(radius - (v_j - least) - s, 0)^2`` falls with s and is convex, so the steps from s = 0 to where it

@@ -178,19 +178,9 @@ def raise_to_depth(
 
 @inline_jit
 def _raise_row(
-    out: NDArray[np.float32],
-    at: int,
-    count: int,
-    x: np.float32,
-    step: np.float32,
-    y: np.float32,
-    z: np.float32,
-    ux: np.float32,
-    uy: np.float32,
-    uz: np.float32,
-    length: np.float32,
-    radius: np.float32,
-) -> None:
+    out: NDArray[np.float32], at: int, count: int, x: np.float32, step: np.float32, y: np.float32, z: np.float32,
+    ux: np.float32, uy: np.float32, uz: np.float32, length: np.float32, radius: np.float32,
+) -> None:  # fmt: skip
     """Raise ``out[at + i]`` to the radius less the distance of ``(x + i step, y, z)`` from a segment at the origin."""
     first = np.uint64(at)
     aside = y * uy + z * uz
@@ -203,16 +193,10 @@ def _raise_row(
 
 @jit
 def _raise_tunnels(
-    out: NDArray[np.float32],
-    shape: tuple[int, int, int],
-    first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    radii: NDArray[np.float64],
+    out: NDArray[np.float32], shape: tuple[int, int, int], first_layer: int, origin: NDArray[np.float64],
+    spacing: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64], radii: NDArray[np.float64],
     margin: float,
-) -> None:
+) -> None:  # fmt: skip
     """Visit the rows of the box around every tunnel, each over the samples that its capsule can reach."""
     nz, ny, nx = shape
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
