@@ -79,6 +79,7 @@ class Surroundings:
         size = np.empty(len(points))
         size[inside] = np.cbrt(np.linalg.det(self.curved.derivatives(cell[inside], within[inside])))
         if not inside.all():
+            # beyond the mesh the mapping of a cell may fold: its mean size is taken there
             size[~inside] = self.edges[self.nearest(points[~inside])[1]]
         return size
 

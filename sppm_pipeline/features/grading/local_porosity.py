@@ -225,6 +225,7 @@ class LatticeCells:
 def filled_cells(field: ScalarField) -> NDArray[np.bool_]:
     """Which cells of a field hold something with all that reaches into it, (nx, ny, nz)."""
     cells, inner = tuple(field.cells), field
+    # levels and parts hold what their base holds, on the same lattice
     while isinstance(inner, WrappedField) and tuple(inner.base.cells) == cells:
         inner = inner.base
     if isinstance(inner, Tiling) and tuple(inner.cells) == cells:

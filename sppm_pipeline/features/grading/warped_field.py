@@ -87,6 +87,7 @@ class WarpedField(ScalarField):
         nx, ny, _ = grid.shape
         values = np.empty((stop - start, ny, nx), np.float32)
         x, y, z = (self.origin[axis] + self.edge * grid.axis(axis) for axis in range(3))
+        # blocks of rows, so that threads share even a single layer
         rows = max(1, POINTS // max(1, nx))
 
         def fill(at: tuple[int, int]) -> None:
@@ -128,6 +129,7 @@ class WarpedField(ScalarField):
             h = 1.0 / self.samples
             x, y, z = (k - BEFORE * h for k in site)
             grid = Grid((x, y, z), (h,) * 3, (self.samples + 4,) * 3)
+            # of what repeats, the cell alone is sampled
             inner = self.base.base if isinstance(self.base, RepeatedField) else self.base
             return bounded(np.ascontiguousarray(inner.sample_zyx(grid, 0, self.samples + 4).T))
 

@@ -41,6 +41,7 @@ def is_current(directory: Path, target: Path) -> bool:
 
     seal = read_record(directory).get("sha256")
     try:
+        # the seal of the record stands in the head of the page
         with target.open("rb") as file:
             return f'<meta name="sppm-record" content="{seal}">'.encode() in file.read(4096)
     except OSError:

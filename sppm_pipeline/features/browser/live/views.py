@@ -54,6 +54,7 @@ def mesh_view(
 
     used, corners = np.unique(faces, return_inverse=True)
     points, triangles = np.asarray(vertices, float)[used], corners.reshape(-1, 3)
+    # 16 bits along the longest edge resolve more than a screen does
     low, size = points.min(0), np.ptp(points, axis=0)
     kept, shown = clustered(points, triangles, most)
     longest = float(size.max()) or 1.0

@@ -25,6 +25,7 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
     step = (high - low) / about
     power = 10.0 ** math.floor(math.log10(step))
     step = min((m * power for m in (1, 2, 5, 10) if m * power >= step), default=10 * power)
+    # ends that are multiples but for rounding keep their ticks
     first = math.ceil(low / step - 1e-9)
     return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
@@ -79,6 +80,7 @@ def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str 
 def _range(values: NDArray[np.float64]) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     pad = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
+    # what begins at zero is seen to begin there
     return (low if low == 0 else low - pad), high + pad
 
 

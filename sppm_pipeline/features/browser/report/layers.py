@@ -101,6 +101,7 @@ def _layer(path: Path, reduced: int) -> tuple[bytes, float]:
     data = path.read_bytes()
     with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
         if image.width * image.height > MAX_OPENED:
+            # known before it is decoded: a small file may hold billions of pixels
             raise ValueError("too large a layer")
         gray = image.convert("L")
     share = float(np.asarray(gray).mean() / 255)
@@ -177,6 +178,7 @@ def outputs_of(path: Path, stages: Sequence[Mapping[str, Any]]) -> list[Mapping[
                 place = path.joinpath(*output_parts(output["path"])).resolve()
             except (SppmError, OSError, ValueError, TypeError, KeyError):
                 continue
+            # a record may name any file of this machine, and a report is mailed
             if place.is_relative_to(home):
                 found.append(output)
     return found

@@ -128,6 +128,7 @@ def _multiples(path: Path, runs: Sequence[Mapping[str, Any]]) -> list[dict[str, 
         folder = path / SWEEP_RUNS / str(run["run"])
         try:
             stages = json.loads((folder / "run.json").read_bytes())["stages"]
+            # no picture takes more than an eighth of what is left, so that many rows have one
             pictures = pictures_of(folder, outputs_of(folder, stages)[:8], budget // 8, pixels=240)
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue

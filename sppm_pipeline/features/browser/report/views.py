@@ -76,6 +76,7 @@ def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
 
     ran_steps = [step for step in plan.steps if step.id in ran]
     ranks = [max(map(rank, step.makes), default=0) for step in ran_steps]
+    # of several of the best kind the last one
     best, number = max(zip(ranks, range(len(ranks)), strict=True), default=(0, 0))
     return ran_steps[number] if best else None
 

@@ -22,6 +22,7 @@ def wiring_svg(stages: Sequence[Mapping[str, Any]]) -> str:
     rank: dict[str, int] = {}
     for stage in stages:
         sources = [rank[s] for s in stage["inputs"].values() if s in rank]
+        # below all that it takes something from, so that lines lead down
         rank[stage["id"]] = max(sources, default=-1) + 1
     rows: dict[int, list[Mapping[str, Any]]] = {}
     for stage in stages:

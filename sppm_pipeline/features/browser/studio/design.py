@@ -140,6 +140,7 @@ class Design:
         """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none."""
         with self._turn():
             text = self.text_with(changes)
+            # the cell that is shown is most often the one whose numbers are asked for
             if self._last is None or self._last[0] != (text, target):
                 self._cell(changes, target)
             assert self._last is not None

@@ -107,6 +107,7 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
             except SppmError as error:
                 self._refused(error, changes)
             else:
+                # one answer for both: the length of the numbers in four bytes, these, and the view file
                 head = json.dumps(said, allow_nan=False).encode()
                 self.answer(200, "application/octet-stream", struct.pack("<I", len(head)) + head + view)
 

@@ -82,6 +82,7 @@ def with_values(text: str, values: Mapping[str, Any]) -> str:
         else:
             edits.append(_replacement(text, place, value))
     edits.reverse()  # of those at one place the last goes in first, so that they stand in their order
+    # from the end of the text, so that earlier places stay where they are
     for start, end, words in sorted(edits, key=lambda edit: edit[:2], reverse=True):
         text = text[:start] + words + text[end:]
     return text
@@ -113,6 +114,7 @@ def _word(value: Any, quoted: bool = False) -> str:
     if isinstance(value, list):
         return f"[{', '.join(_word(item, quoted) for item in value)}]"
     if isinstance(value, str) and not quoted:
+        # without quotes only if the engine reads the same string from it
         plain = value.isascii() and value.replace("_", "").replace(" ", "").replace(".", "").isalnum()
         if plain and value == value.strip() and parse_value(value, Position("", 0, 0)).value == value:
             return value

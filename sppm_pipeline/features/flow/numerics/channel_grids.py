@@ -128,6 +128,7 @@ def _joined(piece: NDArray[np.int32], weights: tuple[NDArray[np.float32], ...], 
     parts = []
     for d, weight in enumerate(weights):
         before = np.roll(piece, 1, 2 - d)
+        # weights within a piece vanish from the coarse matrix, as its values are constant there
         apart = (weight > 0) & (piece != before)
         shares = np.float32(0.5) * weight[apart]
         parts.append(coo_array((shares.astype(np.float64), (piece[apart], before[apart])), (count, count)).tocsr())
@@ -151,6 +152,7 @@ def _graphs(matrix: Any, place: NDArray[np.int64], blocks: tuple[int, ...]) -> t
     from scipy.sparse.csgraph import connected_components
 
     graphs = []
+    # pieces of eight blocks that are joined become one unknown of the next graph
     while matrix.shape[0] > _DENSE and max(blocks) > 1:
         place, blocks = place >> 1, tuple(-(-n // 2) for n in blocks)
         block = np.ravel_multi_index(tuple(place.T), blocks)

@@ -37,6 +37,7 @@ class Faces(NamedTuple):
         """Voxels with an active face, (nz, ny, nx)."""
         held = np.zeros_like(self.active[0])
         for d, active in enumerate(self.active):
+            # the low face of a voxel, and that of the next one
             held |= active | np.roll(active, -1, 2 - d)
         return held
 

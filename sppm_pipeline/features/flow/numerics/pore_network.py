@@ -187,5 +187,6 @@ def permeability(network: CutNetwork, size_factor: NDArray[np.float64]) -> NDArr
     if free.any():
         load = -(weighted.T @ network.vectors)[free]
         pressure[free] = spsolve(laplacian[free][:, free].tocsc(), load).reshape(-1, 3)
+    # differences of pressure along throats under unit gradients; with conductances, the dissipated power is quadratic
     drop = network.vectors + rise @ pressure
     return np.asarray(drop.T @ (size_factor[:, None] * drop))

@@ -182,6 +182,7 @@ def _spread(s: NDArray[Any], w: NDArray[Any], out: NDArray[Any], at: Any, n: Any
         out[i] += low if w[i] > nothing else nothing
         out[i + _1] += high if w[i + _1] > nothing else nothing
     if n & _1 != _0 and w[at + n - _1] > nothing:
+        # the last of an odd row lies in the lower half of its coarse unknown, next to the one before
         out[at + n - _1] += near * s[m] + far * s[m - _1]
 
 

@@ -185,6 +185,7 @@ def _speed(u: NDArray[Any]) -> NDArray[Any]:
     """Speed in the voxels, (nz, ny, nx), from velocities on their faces."""
     total = np.zeros_like(u[0])
     for d in range(3):
+        # both faces of a voxel along d, averaged to its center
         total += ((u[d] + np.roll(u[d], -1, 2 - d)) / 2) ** 2
     return np.asarray(np.sqrt(total))
 
@@ -192,6 +193,7 @@ def _speed(u: NDArray[Any]) -> NDArray[Any]:
 def _velocity_hierarchy(faces: Faces, edges: tuple[float, ...], d: int, longest: float) -> Hierarchy:
     """Grids of one component of the velocity."""
     active = faces.active[d]
+    # the Laplacian joins active faces; a wall between two counts by its drag alone
     weights = tuple((active & np.roll(active, 1, 2 - axis)) * np.float32(1 / edges[axis] ** 2) for axis in range(3))
     return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights)
 

@@ -108,5 +108,6 @@ class HomogenizeAcoustics(FlowHomogenizer):
         )
         options = self.solver_options(context.threads)
         options["tolerance"] = max(1e-7, TIGHTER * options["tolerance"])
+        # a voxel at the wall conducts by the share of it that is open
         found = conductivity(1 - solid, **options)
         return float(found.conductivity[axis, axis]), 1 - float(solid.mean(dtype=np.float64))

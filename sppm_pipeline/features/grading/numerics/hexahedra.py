@@ -66,6 +66,7 @@ def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
 def _fitted(cube: NDArray[np.int64], face: NDArray[np.int64], axis: int, side: int) -> NDArray[np.int64]:
     """A cube turned so that its far side along an axis is a face."""
     for order in itertools.permutations(range(3)):
+        # all 48 ways, mirrored ones too, as elements may be wound either way
         for flips in itertools.product((1, -1), repeat=3):
             made = cube.transpose(order)[:: flips[0], :: flips[1], :: flips[2]]
             if np.array_equal(made.take(1 - side, axis), face):

@@ -49,6 +49,7 @@ def scores_of(table: ScoreTable, values: NDArray[np.float32]) -> NDArray[np.floa
     found = np.interp(values, v, z)
     for end, inner, beyond in ((0, 1, values < v[0]), (-1, -2, values > v[-1])):
         if beyond.any() and len(v) > 1:
+            # rarer values than any sample go on as the last two entries of the table
             slope = (z[end] - z[inner]) / (v[end] - v[inner])
             found[beyond] = z[end] + slope * (values[beyond] - v[end])
     return found.astype(np.float32)

@@ -170,6 +170,7 @@ class CheckLocalPorosity(Stage):
         whole = float(size**3)
         for k in range(nz):
             start, stop = k * size, (k + 1) * size
+            # cells that hold nothing do not count: their void is no pore
             full = np.repeat(np.repeat(filled[:, :, k // BLOCKS], BLOCKS, 0), BLOCKS, 1)
             void = field.solid_zyx(grid, start, stop, context.threads) == 0
             inside = field.inside_zyx(grid, start, stop).view(np.bool_) if isinstance(field, Part) else None

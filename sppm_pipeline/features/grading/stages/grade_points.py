@@ -48,6 +48,7 @@ class GradePoints(DataGrader):
         if len(bad):
             raise InputError(f"{self.path.name}: row {bad[0] + 1} has coordinates that are no finite numbers")
         table = table[self.finite(table[:, 3], f"values of {self.path.name}")]
+        # samples at one place would make flat tetrahedra
         points, group = np.unique(UNITS_IN_MM[self.unit] * table[:, :3], axis=0, return_inverse=True)
         counts = np.bincount(group.ravel())
         values = self.factor * np.bincount(group.ravel(), table[:, 3]) / counts

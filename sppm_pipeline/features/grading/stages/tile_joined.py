@@ -207,6 +207,7 @@ class JoinedTiling(Stage):
         spacing = a.spacing ** (1 - share) * b.spacing**share * min(1.0, (expected / n) ** (1 / 3))
         rng = context.rng(2, *key)
         for _ in range(60):
+            # half a spacing from the faces, beyond which other cells begin; at most 0.4, so that some room is left
             margin = min(spacing / 2, 0.4)
             try:
                 centers = throw(
