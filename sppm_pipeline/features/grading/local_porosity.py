@@ -1,4 +1,4 @@
-"""Local porosity on a lattice: targets of cells, which cells there are, and samples of single cells."""
+"""Local porosity on a lattice: targets of cells, samples of single cells, and means in a moving window."""
 
 from __future__ import annotations
 
@@ -29,6 +29,12 @@ which means of smooth maps are right to 1 in 100 000, and those of steps between
 
 LEAST_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
+
+BLOCKS = 8
+"""Blocks along a cell edge."""
+
+WINDOW = 0.5
+"""Standard deviation of the Gaussian window, cell sizes."""
 
 
 def cell_means(
@@ -243,3 +249,38 @@ def error_summary(errors: Sequence[float] | NDArray[np.float64]) -> dict[str, fl
         "error_p95": float(np.quantile(size, 0.95)),
         "error_max": float(size.max()),
     }
+
+
+def block_counts(
+    void: NDArray[np.bool_], inside: NDArray[np.bool_] | None, size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Voxels that are void and inside, and all that are inside, in blocks of `size` along each axis.
+
+    Masks are (nz, ny, nx), multiples of `size`; `inside` is None for all.
+    """
+    nz, ny, nx = (n // size for n in void.shape)
+
+    def summed(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+        blocks = mask.reshape(nz, size, ny, size, nx, size)
+        found: NDArray[np.int64] = blocks.sum((1, 3, 5), dtype=np.int64)
+        return found
+
+    if inside is None:
+        return summed(void), np.full((nz, ny, nx), size**3, np.int64)
+    return summed(void & inside), summed(inside)
+
+
+def smoothed_means(values: NDArray[np.floating], weights: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Weighted means of block values (nx, ny, nz), `BLOCKS` along a cell edge, in a Gaussian window around each block;
+    NaN where nothing has a weight. Beyond the ends there is nothing.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    def smoothed(of: NDArray[np.floating]) -> NDArray[np.float64]:
+        found: NDArray[np.float64] = gaussian_filter(
+            of.astype(np.float64), WINDOW * BLOCKS, mode="constant", truncate=3.0
+        )
+        return found
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(weights > 0, smoothed(values * weights) / smoothed(weights), np.nan)

@@ -28,9 +28,15 @@ from sppm_pipeline import (
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.features.grading.laws import StiffnessLaw
-from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE, error_summary, filled_cells
+from sppm_pipeline.features.grading.local_porosity import (
+    BLOCKS,
+    LEAST_SHARE,
+    block_counts,
+    error_summary,
+    filled_cells,
+    smoothed_means,
+)
 from sppm_pipeline.features.grading.maps import Grading
-from sppm_pipeline.features.grading.numerics.local_means import BLOCKS, block_counts, smoothed_means
 from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.nouns.palette import Blocks
