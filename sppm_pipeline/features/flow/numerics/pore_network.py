@@ -80,6 +80,7 @@ def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift
             if min(start[axis], end[axis]) < plane < max(start[axis], end[axis])
         }
         inner: list[float] = []
+        # planes that are crossed at once, at an edge or corner of the cell, cut once
         for t in sorted(cuts):
             if t - (inner[-1] if inner else 0.0) > ROUNDING and t < 1 - ROUNDING:
                 inner.append(t)
@@ -145,6 +146,7 @@ def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1)
     length = np.linalg.norm(network.vectors, axis=1)
     slices = np.maximum(1, np.ceil(SLICES_OF_A_VOXEL * n * length)).astype(np.int64)
     first = np.cumsum(slices) - slices
+    # the slices of all throats together, for one query of the tree
     throat = np.repeat(np.arange(len(slices)), slices)
     along = (np.arange(slices.sum()) - first[throat] + 0.5) / slices[throat]
     starts = network.coords[network.conns[:, 0]]
