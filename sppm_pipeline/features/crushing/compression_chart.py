@@ -16,30 +16,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MARKS = {
-    "first maximum": "v",
-    "plateau end": "s",
-    "densification strain": "D",
-}
+MARKS = {"first maximum": "v", "plateau end": "s", "densification strain": "D"}
 """Measures that are points of a curve, and their signs."""
 
 
 class Line(NamedTuple):
-    """A curve, or the mean of several.
-
-    Attributes
-    ----------
-    label : str
-        Drawn as it is.
-    dashed : bool
-    strain, stress, energy, efficiency : (n,) float64
-        NaN where there is nothing to draw.
-    spread : (n,) float64 or None
-        Half height of the band around the stress.
-    plateau : (from, to, stress) or None
-    marks : mapping of str to float
-        Strains of `MARKS`.
-    """
+    """A curve, or the mean of several; arrays (n,) are NaN where there is nothing to draw."""
 
     label: str
     dashed: bool
@@ -47,28 +29,13 @@ class Line(NamedTuple):
     stress: Array
     energy: Array
     efficiency: Array
-    spread: Array | None
-    plateau: tuple[float, float, float] | None
-    marks: dict[str, float]
+    spread: Array | None  # half height of the band around the stress
+    plateau: tuple[float, float, float] | None  # from, to, stress
+    marks: dict[str, float]  # strains of `MARKS`
 
 
 def compression_chart(lines: Sequence[Line], path: str, *, title: str, unit: str, energy_unit: str) -> bytes:
-    """Draw curves.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-    path : str
-        Name of the file, of which the extension is used: .pdf, .png or .svg.
-    title : str
-    unit, energy_unit : str
-        Empty for relative ones.
-
-    Returns
-    -------
-    bytes
-        The file.
-    """
+    """Draw curves to a file of the extension of `path` (.pdf, .png or .svg); units are empty for relative ones."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -83,6 +50,7 @@ def compression_chart(lines: Sequence[Line], path: str, *, title: str, unit: str
         for axes in (stress, energy, share):
             axes.minorticks_on()
             axes.grid(True)
+        # the legend explains only signs that are drawn
         used = {name for line in lines for name in line.marks}
         for number, line in enumerate(lines):
             _draw(line, COLORS[number % len(COLORS)], stress, energy, share)

@@ -17,21 +17,10 @@ UPRIGHT = {"z": (0, 1, 2), "x": (1, 2, 0), "y": (2, 0, 1)}
 def exposed_triangles(
     voxels: NDArray[np.int32], grid: tuple[int, int, int], elements: NDArray[np.int32]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles of the faces that no other voxel covers, and the voxel of each.
+    """Triangles (n, 3) of the faces that no other voxel covers, normals outwards, and the voxel (n,) of each.
 
-    Parameters
-    ----------
-    voxels : (m, 3) int32
-        Places in the grid.
-    grid : (nx, ny, nz)
-    elements : (m, 8) int32
-        Nodes at the corners, in the order of `VOXEL_FACES`.
-
-    Returns
-    -------
-    triangles : (n, 3) int64
-        Nodes, so that normals point outwards.
-    owners : (n,) int64
+    `voxels` (m, 3) are places in the grid (nx, ny, nz), `elements` (m, 8) nodes at the corners, in the order of
+    `VOXEL_FACES`.
     """
     solid = np.zeros(tuple(n + 2 for n in grid), bool)
     places = voxels.astype(np.int64) + 1
@@ -59,21 +48,9 @@ def frame_pictures(
 ) -> Iterator[NDArray[np.uint8]]:
     """A picture (height, width, 3) of each frame, all at one scale, the axis of compression upright.
 
-    Parameters
-    ----------
-    voxels, grid, elements
-        See `exposed_triangles`.
-    frames : (f, p, 3) float32
-        Positions of the nodes.
-    colors : iterator of (m, 3) uint8
-        Of the voxels, frame by frame.
-    axis : {"x", "y", "z"}
-    camera : Camera
-        In the turned axes.
-    size : (width, height)
-    section : float, optional
-        Share of the undeformed block that is kept, along the second of the turned axes, the far side; a layer of voxels
-        at least.
+    `frames` (f, p, 3) are positions of the nodes, `colors` those of the voxels (m, 3), frame by frame; the camera is
+    in the turned axes. `section` is the share of the undeformed block that is kept, along the second of the turned
+    axes, the far side; a layer of voxels at least.
     """
     turned = list(UPRIGHT[axis])
     kept = np.ones(len(voxels), bool)

@@ -30,7 +30,8 @@ MAX_CHANGE = 0.02
 USUAL, MIN_DENSITY = 0.01, 0.2
 """Rate that is tried first, and the only one if the solid fills as much as this and the balance of energy is quiet.
 Slender struts have no time to bow at this rate: a bowed column of 4 x 4 x 48 voxels bears 1.6 times what it does at an
-eighth of it. Gibson and Ashby's struts of density 0.2 are about five times as long as wide."""
+eighth of it, and is 12 times as long as wide. Struts of a cubic lattice of this density, with 3 r^2 - 2 r^3 = 0.2 for
+r the width over the spacing of nodes, are 3.5 times as long as wide from node to node."""
 
 PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
 """Axes of an image z, y, x in the order that turns the axis of compression into the first."""
@@ -240,15 +241,14 @@ class Crusher(Stage):
         return self._result(body, history, kept, numbers, image, spacing, physical, first, failed.why if failed else "")
 
     def _marched(self, context: Context, march: March) -> tuple[list[Frame], Failed | None]:
-        """The frames of a march that goes on where an interrupted run has left it, and why it ended early.
-
-        States are kept at strains that depend on no option, so that neither frames nor the strain at the end change
-        the march: who interrupts a run may end it where it was.
-        """
+        """The frames of a march that goes on where an interrupted run has left it, and why it ended early."""
         from sppm_pipeline.features.crushing.numerics.march import Failed
 
         frames = {f for f in self.frames if f < self.strain} | {0.0, self.strain}
+        # states are kept at strains that depend on no option, so that neither frames nor the strain at the end change
+        # the march, whose contacts are searched again at each; a run that was interrupted may end where it was
         strides = {round(step * STRIDE, 9) for step in range(1, int(self.strain / STRIDE) + 1)} - {self.strain}
+        # a state belongs to all that changes the march or its frames, but for the strain at its end
         described = repr((self._materials(), march.load._replace(strain=0.0), self.frames, march.body.shape))
         content = described.encode() + march.body.voxels.tobytes() + march.body.phases.tobytes()
         key = hashlib.sha256(content).hexdigest()
@@ -281,6 +281,7 @@ class Crusher(Stage):
                 context.remember(key, state)
             raise
         except Failed as error:
+            # a curve too short to be of use is an error; a longer one is kept up to where its energies add up
             if error.strain < min(self.least_strain, self.strain):
                 raise DesignError(
                     f"the simulation stopped: {error}, after {march.step} of {march.steps} steps",
@@ -300,6 +301,7 @@ class Crusher(Stage):
         spacing: float, physical: bool, first: int, ended: str,
     ) -> CrushedBody:  # fmt: skip
         nx, ny, nz = body.shape
+        # forces are in Young's moduli of the first phase and squared voxel edges
         unit = self._young()[0] / (nx * ny)
         per_volume = unit / nz
         energies = {name: values * per_volume for name, values in history.energies.items()}

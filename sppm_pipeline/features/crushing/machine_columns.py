@@ -95,6 +95,7 @@ def _split(heading: str) -> tuple[str, str]:
 def _is_unit_row(row: Sequence[str]) -> bool:
     known = _KNOWN | {"s", "sec", "min", "h", "hz", "°c", "v"}
     words = [cell.strip("[]()（） ") for cell in row]
+    # a majority: some columns have no unit, others one that is not known here
     return sum(word.casefold() in known for word in words) > 0.5 * sum(bool(word) for word in words)
 
 
@@ -132,6 +133,7 @@ def chosen(
 
 def _candidates(table: Sequence[Column], kind: str) -> list[Column]:
     """Columns whose heading is a name of a quantity; if there are none, those whose heading holds one as a word."""
+    # "load" alone wins over "load cell temperature", which only holds the word
     exact = [column for column in table if _split(column.heading)[0] in NAMES[kind]]
     words = re.compile("|".join(rf"\b{re.escape(n)}\b" if n < "一" else re.escape(n) for n in NAMES[kind]))
     return exact or [column for column in table if words.search(_split(column.heading)[0])]

@@ -35,21 +35,10 @@ _OVERFLOW = re.compile(r"\*{2,}|#{2,}|[-+]?inf|ovl|over(?:flow|load|range)?", re
 
 
 class Readings(NamedTuple):
-    """Readings of a file.
+    """Readings (n,) of a file, and the format, columns and units that were detected."""
 
-    Attributes
-    ----------
-    load : (n,) float64
-        Newtons of "force", or MPa of "stress".
-    way : (n,) float64
-        Millimeters of "displacement", or "strain".
-    load_kind, way_kind : str
-    notes : tuple of str
-        Format, columns and units that were detected.
-    """
-
-    load: NDArray[np.float64]
-    way: NDArray[np.float64]
+    load: NDArray[np.float64]  # newtons of "force", or MPa of "stress"
+    way: NDArray[np.float64]  # millimeters of "displacement", or "strain"
     load_kind: str
     way_kind: str
     notes: tuple[str, ...]
@@ -58,22 +47,10 @@ class Readings(NamedTuple):
 def read_readings(
     data: bytes, name: str, *, columns: Sequence[str] = (), units: Sequence[str] = (), decimal: str = "auto"
 ) -> Readings:
-    """Read a file.
+    """Read a file, which messages call `name`.
 
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        How to call the file in messages.
-    columns : (load, way), optional
-        Headings, or numbers from 1 on.
-    units : (load, way), optional
-        Their units, instead of what the file says.
-    decimal : {"auto", "point", "comma"}
-
-    Raises
-    ------
-    InputError
+    `columns` (load, way) are headings, or numbers from 1 on; `units` are used instead of what the file says; `decimal`
+    is "auto", "point" or "comma". `InputError` if the file can't be read, or is ambiguous.
     """
     text, encoding = _decoded(data)
     if not text.strip():
@@ -203,6 +180,7 @@ def _cells(
                         "large for the machine",
                         hint="end the file before that line, or repeat the test with a larger range",
                     )
+            # the reader of CSV takes all lines up to the next quotation mark for one cell
             if any("\n" in cell for cell in cells):
                 raise InputError(f"{name}: a quotation mark in line {last + 1} is not closed")
             if not known:
@@ -241,6 +219,7 @@ def _decimal(cells: tuple[list[str], list[str]], asked: str, name: str) -> str:
     points = len(texts) > len(commas)
     if not commas:
         return "point"
+    # 1,234 alone may be either; beside decimal points, commas between groups of three separate thousands
     grouped = all(_GROUPS.fullmatch(text) for text in commas)
     if points and grouped:
         return "point"

@@ -73,6 +73,7 @@ class AcousticReport(Report):
     @reports()
     def shape(self) -> float:
         """Pore shape factor: near 1, exactly for straight cylindrical pores."""
+        # M of Allard and Atalla, ch. 5: 8 alpha k / (phi Lambda^2)
         return 8 * self.tortuosity * self.permeability / (self.porosity * (1e-3 * self.viscous_length) ** 2)
 
     layer: float = field(metadata=number())
@@ -85,6 +86,7 @@ class AcousticReport(Report):
         from sppm_pipeline.features.flow.numerics.acoustics import NRC_BANDS
 
         bands = self.bands()
+        # ASTM C423 rounds to multiples of 0.05; the outer rounding removes what the product adds in binary
         return round(round(float(np.mean([bands[band] for band in NRC_BANDS])) / 0.05) * 0.05, 2)
 
     @reports(Number("peak", label="largest absorption"), Number("peak_frequency", label="at", unit="Hz"))
@@ -109,6 +111,7 @@ class AcousticReport(Report):
             raise ValueError(f"permeabilities and lengths are finite and above 0, got {numbers}")
         if not 0 < self.porosity <= 1 or not 1 <= self.tortuosity < math.inf:
             raise ValueError(f"there is no porosity {self.porosity} with a tortuosity of {self.tortuosity}")
+        # otherwise the relaxation function of Pride's model has no positive parameter p
         if self.viscous_tortuosity < self.tortuosity or self.thermal_tortuosity < 1:
             raise ValueError("static tortuosities are not below those of high frequencies")
 

@@ -13,13 +13,13 @@ from sppm_pipeline.nouns import TEXT
 
 
 def check_transport(k: NDArray[np.float64], porosity: float, name: str, slack: float) -> None:
-    """Raise `ValueError` unless a tensor is finite, (3, 3), symmetric and not negative, and a porosity within 0 and 1.
-
-    Eigenvalues may be below zero by `slack` times the largest entry.
+    """Raise `ValueError` unless a tensor is finite, (3, 3), symmetric and not negative, and a porosity within 0 and 1;
+    eigenvalues may be below zero by `slack` times the largest entry.
     """
     if k.shape != (3, 3) or not np.isfinite(k).all():
         raise ValueError(f"the {name} must be a finite 3 x 3 matrix, got shape {k.shape}")
     largest = float(np.abs(k).max())
+    # effective tensors are symmetric by reciprocity; what is left of that is rounding
     if np.abs(k - k.T).max() > 1e-6 * largest:
         raise ValueError(f"the {name} is not symmetric")
     if np.linalg.eigvalsh(k)[0] < -slack * largest:

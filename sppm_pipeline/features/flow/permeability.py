@@ -111,6 +111,7 @@ class PermeabilityReport(Report):
     def kozeny(self) -> float | None:
         """The constant c of Kozeny and Carman, ``k = porosity^3 / (c surface^2)`` with the mean k along x, y, z."""
         mean, surface = self.k_mean, self.surface
+        # with the area over the volume of the solid, (1 - porosity)^2 would stand in the denominator
         return self.porosity**3 / (mean * surface**2) if surface and mean > 0 else None
 
     slices: tuple[NDArray[np.float32], ...]
@@ -151,6 +152,7 @@ class PermeabilityReport(Report):
 
         from sppm_pipeline.pictures import colors_of, with_scale
 
+        # rows of pictures count downwards, the next axis points up
         speed = self.slices[axis][::-1]
         solid = np.isnan(speed)
         # a few fast places in throats would leave all others dark

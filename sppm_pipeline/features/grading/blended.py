@@ -22,25 +22,16 @@ cells, not within them; twice as many points take eight times the evaluations fo
 class BlendedField(ScalarField):
     """Two fields mixed by a weight that varies from place to place: by normal scores, cut where the porosity is right.
 
-    Attributes
-    ----------
-    first, second : ScalarField
-        Lattice, size and place are those of the first one. The second one repeats or covers it.
-    grading : Grading
-        Holds the map `weight`, and perhaps `porosity`.
-    tables : (ScoreTable, ScoreTable)
-        Scores of values of each field.
-    porosities : tuple of 2 floats
-        What each field has by itself.
+    Lattice, size and place are those of the first one; the second one repeats or covers it.
     """
 
     reported: ClassVar[tuple[str, ...]] = ("porosity_first", "porosity_second")
 
     first: ScalarField
     second: ScalarField
-    grading: Grading
-    tables: tuple[ScoreTable, ScoreTable]
-    porosities: tuple[float, float]
+    grading: Grading  # holds the map `weight`, and perhaps `porosity`
+    tables: tuple[ScoreTable, ScoreTable]  # scores of values of each field
+    porosities: tuple[float, float]  # what each field has by itself
 
     def check(self) -> None:
         """Both fields are in order, and there is a weight."""
@@ -119,6 +110,7 @@ class BlendedField(ScalarField):
             # without a map of the porosity it goes from that of one field to that of the other
             porosity = (1 - weight) * self.porosities[0] + weight * self.porosities[1]
         found = []
+        # scores are standard normal: the share 1 - porosity of solid lies below its quantile
         for values in (weight, ndtri(1 - porosity)):
             made = values.reshape(x.shape)
             for axis, a in ((0, 2), (1, 1), (2, 0)):

@@ -33,28 +33,15 @@ _STEP = 1e-5
 
 
 class Places(NamedTuple):
-    """Points in cells.
-
-    Attributes
-    ----------
-    cell : (n,) int32
-        -1 outside of all.
-    within : (n, 3) float64
-        Place in the cell along its axes, 0 to 1.
-    """
+    """Points in cells: numbers of the cells (n,), -1 outside of all, and places in these (n, 3), 0 to 1 along axes."""
 
     cell: NDArray[np.int32]
     within: NDArray[np.float64]
 
 
 class Mapped(NamedTuple):
-    """Points of a box of cells that was bent.
-
-    Attributes
-    ----------
-    points : (n, 3) float64, mm
-    volume : (n,) float64
-        Volume of a cell there relative to that of a cell of the box; not positive where the mapping turns inside out.
+    """Points of a box of cells that was bent, (n, 3) mm, and the volume (n,) of a cell there relative to that of a
+    cell of the box; not positive where the mapping turns inside out.
     """
 
     points: NDArray[np.float64]
@@ -93,9 +80,10 @@ class CurvedCells(ABC):
 
     @abstractmethod
     def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Cells of points, also those up to `MARGIN` outside, and places in the lattice that was bent, (n, 3).
+        """Cells of points, also those up to `MARGIN` outside, and places in the lattice that was bent, (n, 3); -1
+        farther out.
 
-        -1 farther out. Where there was no lattice, as in a mesh of any shape, places are those in the cell.
+        Where there was no lattice, as in a mesh of any shape, places are those in the cell.
         """
 
     def derivatives(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,8 +101,8 @@ class CurvedCells(ABC):
     def inner(
         self, per_axis: int, cells: NDArray[np.integer] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points in cells, all of them unless given, (cells, per_axis^3, 3) mm, and the volume that each stands for,
-        (cells, per_axis^3).
+        """Points in all or some cells, (cells, per_axis^3, 3) mm, and volumes that they stand for, (cells,
+        per_axis^3).
         """
         chosen = np.arange(self.count) if cells is None else cells
         t = (np.arange(per_axis) + 0.5) / per_axis
@@ -156,24 +144,12 @@ class CurvedCells(ABC):
 
 @dataclass(frozen=True, eq=False)
 class BentBox(CurvedCells):
-    """A box of cells that a formula bends: implement `mapped` and `unmapped`.
+    """A box of cells that a formula bends: implement `mapped` and `unmapped`."""
 
-    Attributes
-    ----------
-    shape : tuple of 3 ints
-        Cells along each axis of the box.
-    edge : float
-        Size of a cell before, mm.
-    inner_radius : float
-        mm.
-    around : float
-        Angle that the box fills around the axis, radians.
-    """
-
-    shape: tuple[int, int, int]
-    edge: float
-    inner_radius: float
-    around: float
+    shape: tuple[int, int, int]  # cells along each axis of the box
+    edge: float  # size of a cell before, mm
+    inner_radius: float  # mm
+    around: float  # angle that the box fills around the axis, radians
 
     @abstractmethod
     def mapped(self, places: NDArray[np.float64]) -> Mapped:
@@ -212,6 +188,7 @@ class BentBox(CurvedCells):
         """Low and high corner of what the cells fill, (2, 3) mm, and of what bulges between the points by which."""
         low, high = super().box
         radius = self.inner_radius + self.edge * self.shape[2]
+        # sagitta: no place on a face is farther than half a diagonal of the grid of points from the nearest of them
         bulge = radius * (1 - math.cos(self._arc / (self._along_an_edge - 1) / math.sqrt(2))) * np.array(self._bulging)
         return frozen(np.array([low - bulge, high + bulge]))
 
@@ -242,6 +219,7 @@ class BentBox(CurvedCells):
 
     def _angle(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Angles around the axis; in the gap of what is no full turn those below zero belong to its nearer end."""
+        # from -pi to pi; the far half of the gap belongs to the end of the box, beyond pi for more than half a turn
         angle = np.arctan2(points[:, 1], points[:, 0])
         gap = 2 * math.pi - self.around
         return np.where(angle < -gap / 2, angle + 2 * math.pi, angle)
@@ -265,18 +243,10 @@ class CylinderCells(BentBox):
 
 @dataclass(frozen=True, eq=False)
 class SphereCells(BentBox):
-    """A box bent to a zone of a shell around the origin: x goes along the equator, y to the north, z outwards.
+    """A box bent to a zone of a shell around the origin: x goes along the equator, y to the north, z outwards."""
 
-    Attributes
-    ----------
-    south : float
-        Latitude at which it begins, radians.
-    climb : float
-        Angle that it fills to the north, radians.
-    """
-
-    south: float
-    climb: float
+    south: float  # latitude at which it begins, radians
+    climb: float  # angle that it fills to the north, radians
     _bulging: ClassVar[tuple[int, int, int]] = (1, 1, 1)
 
     @property
@@ -309,21 +279,11 @@ class SphereCells(BentBox):
 
 @dataclass(frozen=True, eq=False)
 class HexahedralCells(CurvedCells):
-    """Trilinear hexahedra, or parts into which they were cut.
+    """Trilinear hexahedra, or parts into which they were cut."""
 
-    Attributes
-    ----------
-    corners : (m, 2, 2, 2, 3) float64, mm
-        Nodes by x, y, z of each cell.
-    parts : int
-        How many cells a hexahedron of the mesh was cut into; they follow each other.
-    shape : tuple of 3 ints or None
-        Cells along each axis if the mesh is a block, m in C order; None for a mesh of any shape.
-    """
-
-    corners: NDArray[np.float64]
-    parts: int = 1
-    shape: tuple[int, int, int] | None = None
+    corners: NDArray[np.float64]  # (m, 2, 2, 2, 3) mm, nodes by x, y, z of each cell
+    parts: int = 1  # how many cells a hexahedron of the mesh was cut into; they follow each other
+    shape: tuple[int, int, int] | None = None  # of a block, whose cells are in C order; None for a mesh of any shape
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "corners", frozen(np.asarray(self.corners, np.float64)))

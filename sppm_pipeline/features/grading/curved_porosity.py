@@ -77,8 +77,8 @@ class CellShares(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Points (k, 3) in cells, mm, with their cells, the volume that each stands for, the value of the field there, and
-    whether the part holds them.
+    """Points (k, 3) in cells, mm: cells, volumes that they stand for, values of the field, whether the part holds
+    them.
     """
 
     points: NDArray[np.float64]
@@ -184,9 +184,7 @@ class CurvedSamples:
         return CellShares(inside / whole, void / np.maximum(inside, 1e-300))
 
     def for_level(self, lattice: ControlLattice) -> tuple[list[CellSamples], NDArray[np.float64]]:
-        """Samples in the part, and the share of each cell that lies in it; values are ln G of a sum G of kernels, or
-        those of the field.
-        """
+        """Samples in the part, of ln G for a sum G of kernels or of the field, and the share of each cell in it."""
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
         made, totals = [], np.zeros((2, self.curved.count))
@@ -195,6 +193,7 @@ class CurvedSamples:
             totals[1] += np.bincount(some.cell, some.volume * some.inside, self.curved.count)
             value = some.value
             if level is not None:
+                # ln G is nearly linear in the distance near the surface, so that cubics and Newton steps do well
                 value = np.log(np.maximum(value + np.float32(level), np.float32(1e-9)))
             place = (some.points - lattice.origin) / lattice.edge
             parts = (place.astype(np.float32), some.cell, value, some.volume.astype(np.float32))
@@ -206,6 +205,7 @@ class CurvedSamples:
 def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLattice, int]:
     """The lattice of a level over the cells of a field, and its control points along an edge of these."""
     edge = field.physical_edge()
+    # the least stretch of any cell in any direction
     smallest = float(np.linalg.svd(curved.frames, compute_uv=False).min())
     most = math.floor((MAX_CONTROL / math.prod(field.cells)) ** (1 / 3))
     parts = max(1, min(math.ceil(PER_CELL * edge / smallest), most))
@@ -224,13 +224,7 @@ def fit_curved_level(
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[LevelField, LevelFit, NDArray[np.bool_]]:
-    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation.
-
-    Raises
-    ------
-    DesignError
-        If no cell lies in the part.
-    """
+    """The field with a level that gives each cell its porosity, the fit, and which cells had an equation."""
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
     blend = blending(lattice, curved.centers, curved.frames)

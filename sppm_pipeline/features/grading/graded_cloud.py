@@ -42,13 +42,7 @@ FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "str
 
 
 def scattered_by_maps(context: Context, grading: Grading, wanted: Scattering) -> Tiling | None:
-    """Pores of a lattice that follow maps; None if no map changes what is scattered.
-
-    Raises
-    ------
-    ConfigError
-        If the lattice repeats, or the porosity is given twice.
-    """
+    """Pores of a lattice that follow maps; None if no map changes what is scattered."""
     if not any(name in grading for name in FOLLOWED):
         return None
     if wanted.periodic:
@@ -156,8 +150,8 @@ class GradedCloud:
     def _on_nodes(self, values: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
         """Values (n, ...) at places (n, 3) mm, at the nodes of the density.
 
-        Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones, node
-        by node; nodes far from all have the value of any.
+        Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones,
+        node by node; nodes far from all have the value of any.
         """
         grid = tuple(NODES * n + 1 for n in self.wanted.mask.shape)
         known = np.zeros(grid, bool)
@@ -173,6 +167,7 @@ class GradedCloud:
                 found[:] = here[0]
             found[part] = here
         found = found.reshape(*grid, *found.shape[1:])
+        # one layer of nodes at a time, until the halo is full
         for _ in range(NODES * HALO):
             for axis in range(3):
                 before, at = np.moveaxis(known, axis, 0).copy(), np.moveaxis(found, axis, 0)

@@ -113,13 +113,7 @@ class DataGrader(Grader):
         return law
 
     def finite(self, values: NDArray[np.float64], what: str) -> NDArray[np.bool_]:
-        """Which values are finite numbers.
-
-        Raises
-        ------
-        InputError
-            If none is, or one is not and that is refused.
-        """
+        """Which values are finite numbers; `InputError` if none is, or one is not and that is refused."""
         good: NDArray[np.bool_] = np.isfinite(values)
         if not good.any():
             raise InputError(f"{what} hold no finite number")

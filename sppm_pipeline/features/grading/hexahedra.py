@@ -26,13 +26,7 @@ def check_path(path: Path) -> None:
 
 
 def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = None) -> HexahedralMesh:
-    """The mesh of what was read, mm, checked; a warning names an unexpected order of nodes.
-
-    Raises
-    ------
-    InputError
-        If elements do not fit together, naming one.
-    """
+    """The mesh of what was read, mm, checked (`InputError` names an element); a warning names an odd order of nodes."""
     try:
         mesh = checked_mesh(read.points * UNITS_IN_MM[unit], read.elements)
     except ValueError as error:
@@ -71,16 +65,13 @@ class MeshSize(NamedTuple):
 def size_of_mesh(path: Path, unit: str) -> MeshSize:
     """The size of the mesh in a file, which is read once as long as it does not change.
 
-    Raises
-    ------
-    LookupError
-        If the file is too large for that.
-    InputError, OSError
-        If it is no mesh of hexahedra, or is not there.
+    `LookupError` if the file is too large for that; `InputError` or `OSError` if it is no mesh of hexahedra, or is not
+    there.
     """
     there = path.stat()
     if there.st_size > MAX_BYTES:
         raise LookupError("the mesh is too large to be read for an estimate")
+    # size and time are keys of the cache: a file that was written again is read again
     return _size_of(path, unit, there.st_size, there.st_mtime_ns)
 
 
@@ -91,6 +82,7 @@ def _size_of(path: Path, unit: str, size: int, changed: int) -> MeshSize:
     edges = np.cbrt(volumes)
     x, y, z = np.ptp(mesh.corners.reshape(-1, 3), axis=0).tolist()
     quads = mesh.nodes[mesh.boundary]
+    # half of the cross product of the diagonals: exact for plane faces
     area = np.linalg.norm(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]), axis=1).sum() / 2
     cell = float(edges.min()), float(edges.mean()), float(edges.max())
     return MeshSize(len(volumes), len(quads), (x, y, z), float(volumes.sum()), float(area), cell)

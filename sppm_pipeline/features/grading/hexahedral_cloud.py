@@ -42,14 +42,7 @@ _TRIES = 60  # darts for each pore around the mesh
 
 
 class Surroundings:
-    """The size of cells anywhere in and around a mesh.
-
-    Parameters
-    ----------
-    curved : HexahedralCells
-    fixed : float or None
-        Edge of the cell, mm, everywhere; None if it is that of the mesh.
-    """
+    """The size of cells anywhere in and around a mesh: `fixed` mm everywhere, or that of the mesh if it is None."""
 
     def __init__(self, curved: HexahedralCells, fixed: float | None) -> None:
         self.curved, self.fixed = curved, fixed
@@ -86,6 +79,7 @@ class Surroundings:
         size = np.empty(len(points))
         size[inside] = np.cbrt(np.linalg.det(self.curved.derivatives(cell[inside], within[inside])))
         if not inside.all():
+            # beyond the mesh the mapping of a cell may fold: its mean size is taken there
             size[~inside] = self.edges[self.nearest(points[~inside])[1]]
         return size
 
@@ -95,26 +89,16 @@ class HexahedralBlocks(FilledBlocks):
     """Blocks over a mesh of hexahedra, into whose cells pores are thrown by quota.
 
     `kept` are centers and blocks of pores as in `Blocks`; `added` are pores by cell of the mesh.
-
-    Attributes
-    ----------
-    curved : HexahedralCells
-    edge : float
-        Of a block, mm.
-    origin : tuple of 3 floats
-        Low corner of the first block, mm.
-    quotas : (cells,) float64 or None
-        Pores of each cell of the mesh, which need not be whole; None for what the recipe's samplers state.
-    fixed : float or None
-        Edge of the cell, mm, in which lengths of the recipe hold everywhere; None if they follow the mesh.
     """
 
     content: ClassVar[str] = "a mesh of hexahedra"
 
     curved: HexahedralCells = field(kw_only=True)
-    edge: float = field(kw_only=True)
-    origin: tuple[float, float, float] = field(kw_only=True)
+    edge: float = field(kw_only=True)  # of a block, mm
+    origin: tuple[float, float, float] = field(kw_only=True)  # low corner of the first block, mm
+    # pores of each cell of the mesh, which need not be whole; None for what the recipe's samplers state
     quotas: NDArray[np.float64] | None = None
+    # edge of the cell, mm, in which lengths of the recipe hold everywhere; None if they follow the mesh
     fixed: float | None = None
 
     def in_mm(self, centers: NDArray[np.float64], piece: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -122,13 +106,7 @@ class HexahedralBlocks(FilledBlocks):
         return np.asarray((centers + self.sites[piece]) * self.edge + np.array(self.origin))
 
     def with_darts(self, context: Context, base: PoreSet, mean: float, spacing: float) -> PoreSet:
-        """Pores of each cell of the mesh, and around it.
-
-        Raises
-        ------
-        DesignError
-            If the pores of a cell do not fit.
-        """
+        """Pores of each cell of the mesh, and around it; `DesignError` if the pores of a cell do not fit."""
         if len(base.centers):
             raise ConfigError(
                 "cells of a mesh are filled by one sampler",
@@ -297,6 +275,7 @@ class HexahedralCloud:
         plain = without_faces(micro, blocks, 0, blocks.edge, blocks.origin)
         graph = laid_graph(plain, (False, False, False))
         points = graph.points * blocks.edge + np.array(blocks.origin)
+        # a tunnel has one size, that of the cell in its middle
         middles = points[graph.edges].mean(axis=1)
         at_pores, at_tunnels = self._around.size_at(points), self._around.size_at(middles)
         largest = max(float(at_pores.max(initial=0.0)), float(at_tunnels.max(initial=0.0)))

@@ -1,7 +1,7 @@
 """Two tile sets in one part: their cells, and transition cells between them that connect to the faces of both.
 
-Both layouts below answer the same questions (`Layout`). Cells of one size share the lattice, so that the result stays a
-tile set whose pieces repeat; cells of two sizes have no common lattice, and their graphs are laid pore by pore.
+Both layouts below answer the same questions (`Layout`). Cells of one size share the lattice, so that the result stays
+a tile set whose pieces repeat; cells of two sizes have no common lattice, and their graphs are laid pore by pore.
 """
 
 from __future__ import annotations
@@ -36,14 +36,7 @@ _AXES = np.eye(3, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class JoinedSets(Artifact):
-    """Two tile sets to be laid in one part.
-
-    Attributes
-    ----------
-    first, second : TileSet
-    per_edge : tuple of 2 ints
-        Cells of either set along the edge of the larger one's; one of them is 1.
-    """
+    """Two tile sets to be laid in one part, and cells of each along the edge of the larger one's, of which one is 1."""
 
     reported: ClassVar[tuple[str, ...]] = ("first.*", "second.*")
 
@@ -72,34 +65,19 @@ class JoinedSets(Artifact):
 
 
 class Transition(NamedTuple):
-    """The interior of a cell between two sets.
+    """The interior of a cell between two sets."""
 
-    Attributes
-    ----------
-    centers : (n, 3) float64
-        Pores, cell sizes.
-    edges : (m, 2) int64
-        Tunnels between them.
-    omega, mu : float
-        Of its pores and tunnels.
-    """
-
-    centers: NDArray[np.float64]
-    edges: NDArray[np.int64]
+    centers: NDArray[np.float64]  # pores, (n, 3) cell sizes
+    edges: NDArray[np.int64]  # tunnels between them, (m, 2)
     omega: float
     mu: float
 
     def connectors(
         self, around: NDArray[np.float64], mu: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The pore that each pore `around` (k, 3) on the faces is connected to, and mu of that tunnel.
-
-        Parameters
-        ----------
-        around : (k, 3) float64
-            From the low corner of the cell.
-        mu : (k,) float64
-            Usual among the tunnels of the set to which each belongs. A connector gets the geometric mean.
+        """The pore that each pore `around` (k, 3) on the faces, from the low corner of the cell, is connected to, and
+        mu of that tunnel: the geometric mean with `mu` (k,), the usual one among the tunnels of the set to which each
+        belongs.
         """
         # the nearest pore, by the shortest tunnel
         nearest = ((around[:, None] - self.centers[None]) ** 2).sum(-1).argmin(1)
@@ -107,18 +85,10 @@ class Transition(NamedTuple):
 
 
 class Layout(Protocol):
-    """Cells of both sets in a box.
+    """Cells of both sets in a box."""
 
-    Attributes
-    ----------
-    own : (nx, ny, nz) int8
-        Owner of each cell: 0 or 1 for a set, 2 for a transition cell, -1 for none.
-    between : (m, 3) int64
-        Transition cells.
-    """
-
-    own: NDArray[np.int8]
-    between: NDArray[np.int64]
+    own: NDArray[np.int8]  # (nx, ny, nz), owner of each cell: 0 or 1 for a set, 2 for a transition cell, -1 for none
+    between: NDArray[np.int64]  # transition cells, (m, 3)
 
     def around(self, number: int) -> NDArray[np.float64]:
         """Pores on the faces of a transition cell, from its low corner."""
@@ -148,6 +118,7 @@ class SameSize:
             low, high = laid[0][1][axis], laid[1][1][axis]
             place = np.argwhere(low >= 0)
             second = np.zeros(low.shape, bool)
+            # the weight in the middle of a face decides whose it is
             second[tuple(place.T)] = weights(place + np.where(np.arange(3) == axis, 0.0, 0.5)) >= 0.5
             high = np.where(high >= 0, high + self._pores[0].colors[axis], -1)
             faces.append(np.where(second, high, low).astype(np.int32))

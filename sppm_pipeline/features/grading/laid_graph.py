@@ -28,13 +28,8 @@ from sppm_pipeline.nouns.palette import Blocks
 class WarpedTiling(Tiling):
     """A tiling whose blocks are no cells of the structure: those are bent.
 
-    Attributes
-    ----------
-    curved : CurvedCells
-        The cells of the structure.
-    steepest : 2 floats
-        The largest omega and mu of pores and tunnels in these cells. Kernels mapped beyond the cells may be arbitrarily
-        small, as towards the axis of a tube, and do not count.
+    `steepest` are the largest omega and mu of pores and tunnels in the cells of the structure, `curved`. Kernels
+    mapped beyond the cells may be arbitrarily small, as towards the axis of a tube, and do not count.
     """
 
     curved: CurvedCells = field(kw_only=True)
@@ -62,23 +57,12 @@ MAX_BLOCKS = 4_000_000
 
 
 class LaidGraph(NamedTuple):
-    """The pores and tunnels of all cells of a tiling.
+    """The pores and tunnels of all cells of a tiling."""
 
-    Attributes
-    ----------
-    points : (n, 3) float64
-        Cell sizes, from the low corner of cell (0, 0, 0).
-    omega : (n,) float64
-        Of the pores, 1 / cell size^2.
-    edges : (m, 2) int64
-    mu : (m,) float64
-        Of the tunnels, in the unit of their profile.
-    """
-
-    points: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    edges: NDArray[np.int64]
-    mu: NDArray[np.float64]
+    points: NDArray[np.float64]  # (n, 3), cell sizes, from the low corner of cell (0, 0, 0)
+    omega: NDArray[np.float64]  # (n,), of the pores, 1 / cell size^2
+    edges: NDArray[np.int64]  # (m, 2)
+    mu: NDArray[np.float64]  # (m,), of the tunnels, in the unit of their profile
 
     def resized(
         self, profile: str, pores: NDArray[np.float64] | float, tunnels: NDArray[np.float64] | float
@@ -107,6 +91,7 @@ def kernel_sizes(micro: Microstructure) -> tuple[NDArray[np.float64], NDArray[np
     order = pieces_from_graph(
         graph, np.arange(len(graph.pores.centers), dtype=float), np.arange(len(graph.edges), dtype=float), ""
     ).kernels
+    # pieces sort kernels by their place: the numbers come back in that order
     omega, mu = np.empty_like(kernels.omega), np.empty_like(kernels.mu)
     omega[order.omega.astype(np.int64)] = kernels.omega
     mu[order.mu.astype(np.int64)] = kernels.mu
@@ -156,10 +141,7 @@ def _sites(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> _Sites:
 
 
 def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
-    """The graph of a tiling and of one more cell on all sides, or of one turn along axes that wrap around.
-
-    Tunnels that lead farther out are left out.
-    """
+    """The graph of a tiling and one more cell on all sides, or of one turn along axes that wrap, and no farther."""
     micro = tiling.tileset.micro
     graph, sites = micro.graph, _sites(tiling, wrap)
     omega, mu = kernel_sizes(micro)
@@ -206,9 +188,7 @@ _TRIED = 1024
 
 
 def _largest_inside(
-    sizes: NDArray[np.float64],
-    points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]],
-    curved: CurvedCells,
+    sizes: NDArray[np.float64], points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]], curved: CurvedCells
 ) -> float:
     """The largest of sizes (n,) of what has one of its points (chosen, k, 3) mm in a cell; of all if nothing has."""
     # from the smallest kernel (largest parameter) on, until one lies inside
@@ -239,28 +219,9 @@ def cloud(
     exact: bool = False,
     curved: CurvedCells | None = None,
 ) -> Tiling:
-    """Blocks without faces that hold a graph.
-
-    Parameters
-    ----------
-    graph : LaidGraph
-        Points in mm; parameters of kernels in units of `edge`.
-    edge : float
-        Edge of a block, mm.
-    box : (2, 3) float64, mm
-        What the blocks have to cover.
-    profile : str
-        That of the tunnels.
-    level : float
-    exact : bool
-        See `Tiling`.
-    curved : CurvedCells, optional
-        The cells of the structure, if they are known.
-
-    Raises
-    ------
-    DesignError
-        If the box has too many blocks.
+    """Blocks without faces that hold a graph, whose points are in mm and whose kernels are in units of `edge`, that of
+    a block in mm; `box` (2, 3) mm is what they have to cover. `curved` are the cells of the structure, if they are
+    known, and `profile` is that of the tunnels. `DesignError` if the box has too many blocks.
     """
     count = np.maximum(np.ceil((box[1] - box[0]) / edge - 1e-9), 1).astype(np.int64)
     origin = (box[0] + box[1] - count * edge) / 2

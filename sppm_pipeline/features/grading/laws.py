@@ -22,25 +22,13 @@ from sppm_pipeline.services.nearest import element_tree, locate, nearest_in, sur
 
 @dataclass(frozen=True, eq=False)
 class FormulaLaw(Law):
-    """A formula of the coordinates and of earlier maps.
-
-    Attributes
-    ----------
-    text : str
-    names : tuple of str
-        Maps and coordinates that it may use.
-    constants : tuple of (name, value)
-    box : (2, 3) float64, mm, or None
-        Low and high corner of the part, of which u, v, w are shares.
-    surface : Law or None
-        The distance from the part.
-    """
+    """A formula of the coordinates and of earlier maps."""
 
     text: str
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # maps and coordinates that it may use
     constants: tuple[tuple[str, float], ...]
-    box: NDArray[np.float64] | None
-    surface: Law | None
+    box: NDArray[np.float64] | None  # low and high corner of the part, (2, 3) mm, of which u, v, w are shares
+    surface: Law | None  # the distance from the part
 
     @cached_property
     def expression(self) -> Expression:
@@ -76,22 +64,12 @@ class FormulaLaw(Law):
 
 @dataclass(frozen=True, eq=False)
 class TableLaw(Law):
-    """Values at places along a coordinate or over an earlier map.
+    """Values at places along a coordinate or over an earlier map."""
 
-    Attributes
-    ----------
-    along : str
-        "x", "cell_x", or the name of a map.
-    places, values : (k,) float64
-        Places in ascending order. With steps values hold from a place to the next.
-    kind : str
-        "steps", "linear" or "smooth", the last by monotone cubic polynomials.
-    """
-
-    along: str
-    places: NDArray[np.float64]
+    along: str  # "x", "cell_x", or the name of a map
+    places: NDArray[np.float64]  # (k,), ascending; with steps values hold from a place to the next
     values: NDArray[np.float64]
-    kind: str
+    kind: str  # "steps", "linear" or "smooth", the last by monotone cubic polynomials
 
     def at(self, place: Place) -> NDArray[np.float64]:
         t = place.values(self.along)
@@ -115,13 +93,7 @@ class TableLaw(Law):
 
 @dataclass(frozen=True, eq=False)
 class DataLaw(Law):
-    """Base of laws that are data.
-
-    Attributes
-    ----------
-    outside : str
-        "nearest" goes on with the nearest value where there are no data; with "refuse" there is no value.
-    """
+    """Base of laws that are data; `outside` there is the "nearest" value, or with "refuse" none."""
 
     outside: str
 
@@ -144,22 +116,12 @@ class DataLaw(Law):
 
 @dataclass(frozen=True, eq=False)
 class ImageLaw(DataLaw):
-    """An image, linear between the middles of voxels.
+    """An image, linear between the middles of voxels."""
 
-    Attributes
-    ----------
-    values : (nx, ny, nz)
-        Any type of numbers.
-    origin, spacing : tuple of 3 floats
-        Low corner of the first voxel, and edges of a voxel, mm.
-    factor : float
-        What the numbers are multiplied by.
-    """
-
-    values: NDArray[Any]
-    origin: tuple[float, float, float]
-    spacing: tuple[float, float, float]
-    factor: float
+    values: NDArray[Any]  # (nx, ny, nz), any type of numbers
+    origin: tuple[float, float, float]  # low corner of the first voxel, mm
+    spacing: tuple[float, float, float]  # edges of a voxel, mm
+    factor: float  # of the numbers
 
     @property
     def box(self) -> NDArray[np.float64]:
@@ -182,15 +144,7 @@ class ImageLaw(DataLaw):
 
 @dataclass(frozen=True, eq=False)
 class PointsLaw(DataLaw):
-    """Samples at points: linear in tetrahedra, the value of the nearest one, or a mean by inverse distances.
-
-    Attributes
-    ----------
-    points : (m, 3) float64, mm
-    values : (m,) float64
-    by : str
-        "linear", "nearest" or "idw".
-    """
+    """Samples at points (m, 3) mm: linear in tetrahedra, "nearest", or a mean by inverse distances, "idw"."""
 
     points: NDArray[np.float64]
     values: NDArray[np.float64]
@@ -259,6 +213,7 @@ class Tetrahedra:
         self, values: NDArray[np.float64], points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Values (n,) at points (n, 3), and which of them lie outside and have the value of the nearest element."""
+        # linear in the element that holds a point; beyond all of them, in the nearest one at the node next to the point
         element, weights = locate(self._boxes, self._corners, points)
         outside = element < 0
         if outside.any():
@@ -274,21 +229,11 @@ class Tetrahedra:
 
 @dataclass(frozen=True, eq=False)
 class DistanceLaw(Law):
-    """Distance from a surface, positive inside of it if it is closed; from a line, or from a point.
+    """Distance from a surface, positive inside of it if it is closed; from a line, or from a point."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64, mm
-        Those of the surface; or a point, or two points of a line.
-    faces : (m, 3) int32
-        Empty for a line or point.
-    closed : bool
-        Whether there is an inside.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    closed: bool
+    vertices: NDArray[np.float64]  # (n, 3) mm, of the surface; or a point, or two points of a line
+    faces: NDArray[np.int32]  # (m, 3); empty for a line or point
+    closed: bool  # there is an inside
 
     @cached_property
     def _tree(self) -> Any:
@@ -320,22 +265,12 @@ class DistanceLaw(Law):
 
 @dataclass(frozen=True, eq=False)
 class StiffnessLaw(Law):
-    """The porosity at which a structure has the modulus that an earlier map asks for.
+    """The porosity at which a structure has the modulus that an earlier map asks for."""
 
-    Attributes
-    ----------
-    wanted : str
-        Name of the map of moduli.
-    porosities, moduli : (m,) float64
-        The structure's curve.
-    deviation : float
-        Relative standard deviation of single cells around it.
-    """
-
-    wanted: str
-    porosities: NDArray[np.float64]
+    wanted: str  # name of the map of moduli
+    porosities: NDArray[np.float64]  # the structure's curve, (m,)
     moduli: NDArray[np.float64]
-    deviation: float
+    deviation: float  # relative standard deviation of single cells around it
 
     @property
     def curve(self) -> StiffnessCurve:

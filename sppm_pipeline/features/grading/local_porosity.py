@@ -1,4 +1,4 @@
-"""Local porosity on a lattice: targets of cells, which cells there are, and samples of single cells."""
+"""Local porosity on a lattice: targets of cells, samples of single cells, and means in a moving window."""
 
 from __future__ import annotations
 
@@ -30,14 +30,17 @@ which means of smooth maps are right to 1 in 100 000, and those of steps between
 LEAST_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
 
+BLOCKS = 8
+"""Blocks along a cell edge."""
+
+WINDOW = 0.5
+"""Standard deviation of the Gaussian window, cell sizes."""
+
 
 def cell_means(
     grading: Grading, name: str, edge: float, origin: tuple[float, float, float], cells: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Means of a map over cells of a lattice, (m,).
-
-    `edge` is that of a cell and `origin` the low corner of cell (0, 0, 0), in mm; `cells` are (m, 3).
-    """
+    """Means (m,) of a map over cells (m, 3) of an edge, mm, of the lattice whose cell (0, 0, 0) begins at `origin`."""
     cells = np.asarray(cells, np.int64)
     key = (name, edge, origin, cells.tobytes())
     kept = _MEANS.get(grading)
@@ -81,28 +84,12 @@ class Places(NamedTuple):
 
 
 class LatticeCells:
-    """The cells of a field, or those of a part's field that lie in the part, and samples of one at a time.
+    """The cells of a field, or those of a part's field that lie in the part, and samples of one at a time, `n` along
+    its edge.
 
-    Parameters
-    ----------
-    field : ScalarField
-        A `Part` stands for its field, seen where the part is.
-    n : int
-        Samples along a cell edge.
-    threads : int
-    only : list of (i, j, k), optional
-        Cells to look at; all unless given.
-    places : Places, optional
-        The attribute `places` of the cells of another field on this lattice and in this part, which are the same.
-
-    Attributes
-    ----------
-    base : ScalarField
-        The field that is sampled.
-    cells : list of (i, j, k)
-        Those that hold something, and of which enough lies in the part.
-    shares : (m,) float64
-        Share of each that lies in the part.
+    A `Part` stands for its field, seen where the part is. `only` are the cells to look at, all by default; `places` is
+    that attribute of the cells of another field on this lattice and in this part, which are the same. `cells` are
+    those that hold something, and of which enough lies in the part: `shares` (m,) of each.
     """
 
     def __init__(
@@ -133,12 +120,10 @@ class LatticeCells:
         *,
         all_layers: bool,
     ) -> None:
-        """Set the share of each cell, where it is not 0, to that in the part; keep bits of cells that are not whole.
-
-        Layer by layer of all cells, or cell by cell, which pays for a few.
-        """
+        """Set the share of each cell, where it is not 0, to that in the part; keep bits of cells that are not whole."""
         n, (nx, ny, _) = self.n, self.base.cells
         grid, k, layers = cell_centers(n, self.base.cells), -1, np.zeros((0, 0, 0, 0, 0), bool)
+        # layer by layer of all cells; cell by cell pays for a few
         some: Cells = [(i, j, k) for i, j, k in np.argwhere(share > 0).tolist()]
         for cell in sorted(some, key=lambda cell: cell[2]):
             if not all_layers:
@@ -187,14 +172,9 @@ class LatticeCells:
         return np.stack([np.minimum(low, high), high], -1)
 
     def values(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.float32]:
-        """Values to compare with a level, (n, n, n len(run)) indexed z, y, x: ln G of a sum G of kernels, or the field.
-
-        In rows before the first and beyond the last sample in the part it may be anything.
-
-        Parameters
-        ----------
-        run : cells
-            They follow each other along x.
+        """Values of cells that follow each other along x, to compare with a level: ln G of a sum G of kernels, or the
+        field, (n, n, n len(run)) indexed z, y, x. In rows before the first and beyond the last sample in the part it
+        may be anything.
         """
         grid = self.grid(run[0], len(run))
         if isinstance(self.base, KernelSum) and self.base.additive:
@@ -236,11 +216,9 @@ class LatticeCells:
         return np.array([found[cell] for cell in cells])
 
     def counted(self) -> NDArray[np.float64]:
-        """Share of void in each of the cells, or in that of it which lies in the part, by whole samples, (m,).
-
-        Cells that follow each other along x are sampled together, as long rows cost less than short ones.
-        """
+        """Share of void in each of the cells, or in that of it which lies in the part, by whole samples, (m,)."""
         found = dict[tuple[int, int, int], float]()
+        # cells that follow each other along x are sampled together, as long rows cost less than short ones
         for run in runs_along_x(self.cells, len(self.cells)):
             grid = self.grid(run[0], len(run))
             void = self.base.solid_zyx(grid, 0, self.n, self._threads_for(grid)) == 0
@@ -253,6 +231,7 @@ class LatticeCells:
 def filled_cells(field: ScalarField) -> NDArray[np.bool_]:
     """Which cells of a field hold something with all that reaches into it, (nx, ny, nz)."""
     cells, inner = tuple(field.cells), field
+    # levels and parts hold what their base holds, on the same lattice
     while isinstance(inner, WrappedField) and tuple(inner.base.cells) == cells:
         inner = inner.base
     if isinstance(inner, Tiling) and tuple(inner.cells) == cells:
@@ -270,3 +249,38 @@ def error_summary(errors: Sequence[float] | NDArray[np.float64]) -> dict[str, fl
         "error_p95": float(np.quantile(size, 0.95)),
         "error_max": float(size.max()),
     }
+
+
+def block_counts(
+    void: NDArray[np.bool_], inside: NDArray[np.bool_] | None, size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Voxels that are void and inside, and all that are inside, in blocks of `size` along each axis.
+
+    Masks are (nz, ny, nx), multiples of `size`; `inside` is None for all.
+    """
+    nz, ny, nx = (n // size for n in void.shape)
+
+    def summed(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+        blocks = mask.reshape(nz, size, ny, size, nx, size)
+        found: NDArray[np.int64] = blocks.sum((1, 3, 5), dtype=np.int64)
+        return found
+
+    if inside is None:
+        return summed(void), np.full((nz, ny, nx), size**3, np.int64)
+    return summed(void & inside), summed(inside)
+
+
+def smoothed_means(values: NDArray[np.floating], weights: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Weighted means of block values (nx, ny, nz), `BLOCKS` along a cell edge, in a Gaussian window around each block;
+    NaN where nothing has a weight. Beyond the ends there is nothing.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    def smoothed(of: NDArray[np.floating]) -> NDArray[np.float64]:
+        found: NDArray[np.float64] = gaussian_filter(
+            of.astype(np.float64), WINDOW * BLOCKS, mode="constant", truncate=3.0
+        )
+        return found
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(weights > 0, smoothed(values * weights) / smoothed(weights), np.nan)

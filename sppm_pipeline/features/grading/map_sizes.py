@@ -23,13 +23,7 @@ DIRECTION = ("direction_x", "direction_y", "direction_z")
 
 
 def check_round(grading: Grading, stage: str) -> None:
-    """Check that no map asks for what only scattered cells have.
-
-    Raises
-    ------
-    ConfigError
-        Naming the map.
-    """
+    """Check that no map asks for what only scattered cells have; `ConfigError` names it."""
     for name in ("stretch", "spacing"):
         if name in grading:
             raise ConfigError(
@@ -41,12 +35,8 @@ def check_round(grading: Grading, stage: str) -> None:
 def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Metrics (n, 6) by the maps `stretch` and `direction_x`, `_y`, `_z` at points (n, 3) mm; None without them.
 
-    A component of the direction that has no map is 0. Where all are 0 nothing is stretched.
-
-    Raises
-    ------
-    ConfigError
-        If there is a stretch without a direction, or a direction without a stretch.
+    A component of the direction that has no map is 0. Where all are 0 nothing is stretched. `ConfigError` if there is
+    a stretch without a direction, or a direction without a stretch.
     """
     given = [name in grading for name in DIRECTION]
     if "stretch" not in grading:
@@ -77,24 +67,12 @@ def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
 
 
 def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Tiling:
-    """The tiling with pores and tunnels of the sizes and shapes that maps say.
+    """The tiling with pores and tunnels of the sizes and shapes that maps say, every interior of it in one place.
 
     These are `pore_radius`, `tunnel_radius`, `scale`, and `stretch` with its direction: a kernel measures distances in
     the metric at its center or, if it is that of a tunnel, in the middle between its ends. Radii are those across the
-    direction.
-
-    Parameters
-    ----------
-    tiling : Tiling
-        Every interior in one place.
-    grading : Grading
-    faces_differ : bool
-        Whether every face pattern is in one place, too; otherwise those keep their sizes.
-
-    Raises
-    ------
-    ConfigError
-        If walls are to be stretched.
+    direction. Unless every face pattern is in one place, too (`faces_differ`), those keep their sizes. `ConfigError`
+    if walls are to be stretched.
     """
     maps = [name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION) if name in grading]
     if not maps or tiling.edge is None:
@@ -108,6 +86,7 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
         for axis, faces in enumerate(arrays.faces):
             place = np.argwhere(faces >= 0)
             sites[pieces.interiors + axis * pieces.colors + faces[tuple(place.T)]] = place - arrays.halo
+    # tunnels from an interior to a face are where the interior is
     sites[pieces.interiors + 3 * pieces.colors :] = sites[pieces.codes // (6 * pieces.colors)] if pieces.colors else 0
     box = np.array(arrays.shape, np.float64)
 

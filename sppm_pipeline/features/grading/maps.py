@@ -20,19 +20,10 @@ Points = NDArray[np.float64]
 
 
 class Quantity(NamedTuple):
-    """Meaning of a map of a known name.
-
-    Attributes
-    ----------
-    unit : str
-    low, high : float
-        Bounds of allowed values, which are excluded unless `closed`.
-    closed : bool
-    meaning : str
-    """
+    """Meaning of a map of a known name."""
 
     unit: str
-    low: float
+    low: float  # bounds of allowed values, which are excluded unless `closed`
     high: float
     closed: bool
     meaning: str
@@ -101,6 +92,7 @@ class Place:
                     hint="use x, y, z in mm, or grade a stage that lays cells",
                 )
             return (self.points[:, axis] - frame.origin[axis]) / frame.edge
+        # maps that several formulas use are computed once for these points
         if name not in self._known:
             self._known[name] = checked(self._grading.law(name), self)
         return self._known[name]
@@ -145,13 +137,7 @@ class Law(Artifact):
 
 
 def checked(law: Law, place: Place) -> NDArray[np.float64]:
-    """Values of a law.
-
-    Raises
-    ------
-    DesignError
-        If one of them is not finite or beyond what the quantity may be, with the first such point.
-    """
+    """Values of a law; `DesignError` names the first point where one is not finite, or not what the quantity may be."""
     values = law.at(place)
     kind = QUANTITIES.get(law.name)
     bad = ~np.isfinite(values)
@@ -196,16 +182,7 @@ class Map:
         self._grading = grading
 
     def at(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Values at points.
-
-        Parameters
-        ----------
-        points : (n, 3) floats, mm
-
-        Returns
-        -------
-        (n,) float64
-            All finite, and what the quantity may be.
+        """Values (n,) at points (n, 3) mm: all finite, and what the quantity may be.
 
         Raises
         ------
@@ -218,6 +195,7 @@ class Map:
     def digest(self) -> str:
         """SHA-256 of all that its values depend on."""
         wanted, found = [self.name], set()
+        # only maps that the values depend on: another one added later changes no digest
         while wanted:
             name = wanted.pop()
             found.add(name)

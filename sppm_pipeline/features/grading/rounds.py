@@ -35,13 +35,7 @@ MARGIN = 0.02
 
 
 def recipe_total(recipe: Recipe) -> int:
-    """The number of pores of a cell that a recipe states.
-
-    Raises
-    ------
-    ConfigError
-        If no stage of it has the option `total`.
-    """
+    """The number of pores of a cell that a recipe states; `ConfigError` if no stage of it has the option `total`."""
     totals = [values["total"] for values in recipe.options().values() if values.get("total") is not None]
     if not totals:
         raise ConfigError(
@@ -54,13 +48,7 @@ def recipe_total(recipe: Recipe) -> int:
 def trial(
     context: Context, recipe: Recipe, total: int | None, attempt: int, palette: Palette | None = None
 ) -> Microstructure:
-    """A cell of a recipe with another number of pores.
-
-    Raises
-    ------
-    ConfigError
-        If the recipe makes no microstructure.
-    """
+    """A cell of a recipe with another number of pores; `ConfigError` if the recipe makes no microstructure."""
     stages = [i for i, values in recipe.options().items() if values.get("total") is not None]
     options = {} if total is None else {stage: {"total": total} for stage in stages}
     micro = recipe.run(context, palette=palette or Palette(), attempt=attempt, options=options)
@@ -73,29 +61,13 @@ def trial(
 
 
 def curve_of(
-    context: Context,
-    porosity: Callable[[int, int], float],
-    total: int,
-    targets: NDArray[np.float64],
-    trials: int,
+    context: Context, porosity: Callable[[int, int], float], total: int, targets: NDArray[np.float64], trials: int
 ) -> PorosityCurve:
-    """The porosity of a recipe over the number of pores of a cell, wide enough for all targets.
+    """The porosity of a recipe over the number of pores of a cell, wide enough for all targets (m,), beginning with
+    `total`.
 
-    Parameters
-    ----------
-    context : Context
-    porosity : callable of a number of pores and an attempt
-        Porosity of a trial.
-    total : int
-        Number of pores to begin with.
-    targets : (m,) float64
-    trials : int
-        For each number of pores.
-
-    Raises
-    ------
-    DesignError
-        If a target is out of reach.
+    `porosity` gives that of a trial of a number of pores and an attempt, of which there are `trials` for each number.
+    `DesignError` if a target is out of reach.
     """
     low, high = float(targets.min()) - MARGIN, float(targets.max()) + MARGIN
     counts: list[int] = []
@@ -154,22 +126,10 @@ def in_rounds(
 ) -> tuple[Made, dict[str, object]]:
     """Draw cells, measure them, and draw them again with more or fewer pores, in rounds.
 
-    Parameters
-    ----------
-    first : object
-        What is to be drawn: numbers of pores, blocks.
-    draw : callable
-    errors : callable of the number of the round and what was drawn in it
-        Porosity less its target of each cell; NaN of those that are not measured.
-    again : callable of the number of the round, what was drawn in it, and errors
-        What is to be drawn next; None to let it be.
-
-    Returns
-    -------
-    made : object
-        What was drawn last.
-    report : dict
-        Summary of the last errors, and the rms of all rounds; empty if no cell was measured.
+    `first` is what is to be drawn: numbers of pores, or blocks. `errors` gives for the number of the round and what
+    was drawn in it the porosity less its target of each cell, NaN of those that are not measured; `again` gives for
+    these what is to be drawn next, None to let it be. Returned are what was drawn last, and a summary of the last
+    errors with the rms of all rounds, empty if no cell was measured.
     """
     rms: list[float] = []
     report: dict[str, object] = {}
@@ -189,12 +149,7 @@ def in_rounds(
 
 
 def corrected(
-    context: Context,
-    number: int,
-    blocks: Cells,
-    pores: PoreSet,
-    cell: NDArray[np.integer],
-    excess: NDArray[np.float64],
+    context: Context, number: int, blocks: Cells, pores: PoreSet, cell: NDArray[np.integer], excess: NDArray[np.float64]
 ) -> Cells:
     """Scattered blocks whose pores are kept, but for some at random in cells of too many, and added to in others.
 

@@ -15,16 +15,16 @@ _POINTS = 4000  # points of the moving window that are drawn
 def map_sections(
     target: NDArray[np.float64], measured: NDArray[np.float64], there: NDArray[np.bool_], what: str = "porosity"
 ) -> NDArray[np.uint8]:
-    """The section through the middle, across the shortest axis: wanted, measured, and their difference.
-
-    Values are (nx, ny, nz); what lies outside of the part, where `there` is false, is gray. Target and measured share
-    one scale; the difference runs from minus to plus its largest size, which is stated.
+    """The section through the middle, across the shortest axis: wanted, measured, and their difference, of values (nx,
+    ny, nz). Outside of the part, where `there` is false, it is gray. Target and measured share one scale; the
+    difference runs from minus to plus its largest size, which is stated.
     """
     across = 1 if target.shape[1] <= min(target.shape) else int(np.argmin(target.shape))
     middle = target.shape[across] // 2
     wanted, found, inside = (np.take(values, middle, across).T[::-1] for values in (target, measured, there))
     both = np.concatenate([wanted[inside], found[inside]])
     low, high = (float(both.min()), float(both.max())) if both.size else (0.0, 1.0)
+    # a constant target would leave no scale
     if high - low < 1e-6:
         low, high = low - 0.01, high + 0.01
     error = found - wanted
@@ -51,9 +51,8 @@ def porosity_scatter(
     found: NDArray[np.float64],
     noise: float | None,
 ) -> bytes:
-    """A PNG chart of measured over wanted porosity: places of the window, whole cells, the line where both agree.
-
-    With a noise the band of two deviations around that line is drawn, too.
+    """A PNG chart of measured over wanted porosity: places of the window, whole cells, the line where both agree, and
+    with a noise the band of two deviations around it.
     """
     from sppm_pipeline.services.pictures.charts import Series, chart
 

@@ -35,30 +35,15 @@ class WarpedField(ScalarField):
     """Another field whose cells are bent; void farther than half a cell outside of them.
 
     The field is sampled once in each cell that it has, or in the only one if it repeats, and interpolated by cubics.
-
-    Attributes
-    ----------
-    base : ScalarField
-    curved : CurvedCells
-    extent : tuple of 3 ints
-        Blocks of the box around the bent cells.
-    edge : float
-        Size of a block, mm.
-    origin : tuple of 3 floats
-        Low corner of the box, mm.
-    samples : int
-        Samples along an edge of a cell of `base`.
-    stretch : tuple of 2 floats
-        Least and largest length in a bent cell over that in `base`, in blocks per cell, away from its corners.
     """
 
     base: ScalarField
     curved: CurvedCells
-    extent: tuple[int, int, int]
-    edge: float
-    origin: tuple[float, float, float]
-    samples: int
-    stretch: tuple[float, float]
+    extent: tuple[int, int, int]  # blocks of the box around the bent cells
+    edge: float  # size of a block, mm
+    origin: tuple[float, float, float]  # low corner of the box, mm
+    samples: int  # along an edge of a cell of `base`
+    stretch: tuple[float, float]  # least and largest length in a bent cell over that in `base`, in blocks per cell
     kept: CellCache = field(default_factory=CellCache, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -102,6 +87,7 @@ class WarpedField(ScalarField):
         nx, ny, _ = grid.shape
         values = np.empty((stop - start, ny, nx), np.float32)
         x, y, z = (self.origin[axis] + self.edge * grid.axis(axis) for axis in range(3))
+        # blocks of rows, so that threads share even a single layer
         rows = max(1, POINTS // max(1, nx))
 
         def fill(at: tuple[int, int]) -> None:
@@ -143,6 +129,7 @@ class WarpedField(ScalarField):
             h = 1.0 / self.samples
             x, y, z = (k - BEFORE * h for k in site)
             grid = Grid((x, y, z), (h,) * 3, (self.samples + 4,) * 3)
+            # of what repeats, the cell alone is sampled
             inner = self.base.base if isinstance(self.base, RepeatedField) else self.base
             return bounded(np.ascontiguousarray(inner.sample_zyx(grid, 0, self.samples + 4).T))
 
@@ -182,12 +169,10 @@ def cells_sampled(base: ScalarField) -> int:
 
 
 def least_and_largest_stretch(curved: CurvedCells, per_axis: int = 3) -> tuple[float, float]:
-    """Least and largest length, mm, of what was one cell size long, over all directions at places in all cells.
-
-    Places are the middles of `per_axis`^3 parts of a cell. At its corners, where a hexahedron may be nearly flat, it is
-    not looked at: one of them would make every voxel of a part as small.
-    """
+    """Least and largest length, mm, of what was one cell size long, over all directions at places in all cells."""
     t = (np.arange(per_axis) + 0.5) / per_axis
+    # middles of `per_axis`^3 parts of a cell, not its corners: a hexahedron may be nearly flat at one, and every voxel
+    # of the part would have to be as small
     within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
     cell = np.repeat(np.arange(curved.count), len(within))
     # singular values of the derivative are the stretches along its principal directions

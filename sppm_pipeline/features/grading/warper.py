@@ -79,8 +79,7 @@ class Warper(Stage):
     def _with_field(self, context: Context, field: ScalarField) -> WarpedField:
         if self.sizes == "fixed":
             raise ConfigError(
-                f"a {type(field).__name__} is bent as it is, and has no sizes that could stay",
-                hint="leave out `sizes`",
+                f"a {type(field).__name__} is bent as it is, and has no sizes that could stay", hint="leave out `sizes`"
             )
         resolution = self.resolution or (FINE_SAMPLES if cells_sampled(field) == 1 else SAMPLES)
         curved = self.curved(field)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from sppm_pipeline.hookspecs import hookimpl
 
-STAGES = {
-    "field.walls": "WallsField",
-}
+STAGES = {"field.walls": "WallsField"}
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

@@ -28,22 +28,14 @@ class WalledMicrostructure(Microstructure):
     """Solid within half a thickness of the faces of the pores' Voronoi cells, but for the tunnels.
 
     The `opening`, the half thickness above which walls close a point, takes the place of the kernel sum G of other
-    microstructures, and the level is half the thickness of the walls. As tunnels stay open at any thickness, G jumps at
-    their surface; the sampled field has the same sign and is a distance from walls and tunnels near both.
-
-    Attributes
-    ----------
-    pieces : Pieces
-        Only the positions of the kernels are used, and the radii of the tunnels, ``1 / mu``.
-    level : float
-        Half the thickness of the walls, cell sizes.
-    rounding : float
-        Radius of the fillets where walls meet and of the rims of their openings, cell sizes.
+    microstructures, and the level is half the thickness of the walls, cell sizes. As tunnels stay open at any
+    thickness, G jumps at their surface; the sampled field has the same sign and is a distance from walls and tunnels
+    near both. Of the pieces only the positions of the kernels are used, and the radii of the tunnels, ``1 / mu``.
     """
 
     reported: ClassVar[tuple[str, ...]] = (*Microstructure.reported, "thickness", "tunnel_radius")
 
-    rounding: float = 0.0
+    rounding: float = 0.0  # radius of the fillets where walls meet and of the rims of their openings, cell sizes
 
     @property
     def additive(self) -> bool:

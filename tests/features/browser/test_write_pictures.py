@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.browser.live.voxel_view import PHASE_COLORS, phase_surface
+from sppm_pipeline.features.browser.live.pictures import PHASE_COLORS, phase_surface
 from sppm_pipeline.features.browser.stages.write_chart import WriteChart
 from sppm_pipeline.features.browser.stages.write_picture import WritePicture
 from sppm_pipeline.method.nouns.voxels import Voxels

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import Voronoi, cKDTree
 
 from sppm_pipeline.features.walls.numerics.cells import voronoi_cells
-from sppm_pipeline.features.walls.numerics.distance import UNCLAIMED, raise_to_distance, soft_minimum
+from sppm_pipeline.features.walls.numerics.distance import UNCLAIMED, raise_to_distance
 from sppm_pipeline.services.grid import Grid
 
 GRID = Grid((-0.03, 0.11, 0.05), (0.031, 0.043, 0.057), (33, 21, 17))
@@ -39,6 +39,18 @@ def from_faces(points, where, neighbors=None):
     found = (squares - squares[np.arange(len(where)), nearest][:, None]) / (2 * apart)
     found[np.arange(len(where)), nearest] = np.inf
     return found if neighbors is None else np.where(neighbors[nearest], found, np.inf)
+
+
+def soft_minimum(values, radius):
+    """The m with ``sum of max(m + radius - v_j, 0)^2 = radius^2`` along the last axis; the minimum for no radius."""
+    least = values.min(-1)
+    if radius <= 0:
+        return least
+    s = np.zeros_like(least)
+    for _ in range(50):
+        rest = np.maximum(radius - (values - least[..., None]) - s[..., None], 0)
+        s += ((rest**2).sum(-1) - radius**2) / (2 * rest.sum(-1))
+    return least - s
 
 
 @pytest.mark.parametrize("seed", [1, 2])

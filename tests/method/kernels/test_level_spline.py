@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.features.grading.local_porosity import block_counts, smoothed_means
 from sppm_pipeline.features.grading.numerics.curve import porosity_curve
 from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level, void_and_slope
-from sppm_pipeline.features.grading.numerics.local_means import block_counts, smoothed_means
 from sppm_pipeline.method.kernels.level_spline import LayerSpline, control_of_means, control_with_some_held, extended
 
 CONTROL = np.random.default_rng(3).normal(size=(3, 4, 1))

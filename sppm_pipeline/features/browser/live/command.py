@@ -28,7 +28,9 @@ def execute(args: Namespace) -> int:
     if not is_current(args.directory, target) or args.remake:
         report.make_report(args, target)
     if args.serve:
-        serve(target, args.port)
+        from sppm_pipeline.features.browser.live.serving import LocalServer
+
+        LocalServer(args.port, handler_of(target)).serve()
     else:
         report.open_in_browser(target)
         print(target)
@@ -41,17 +43,11 @@ def is_current(directory: Path, target: Path) -> bool:
 
     seal = read_record(directory).get("sha256")
     try:
+        # the seal of the record stands in the head of the page
         with target.open("rb") as file:
             return f'<meta name="sppm-record" content="{seal}">'.encode() in file.read(4096)
     except OSError:
         return False
-
-
-def serve(target: Path, port: int) -> None:
-    """Serve one page to this machine until interrupted; see `LocalServer`."""
-    from sppm_pipeline.features.browser.live.serving import LocalServer
-
-    LocalServer(port, handler_of(target)).serve()
 
 
 def handler_of(target: Path) -> type[LocalHandler]:

@@ -28,19 +28,12 @@ _TYPES: dict[str, np.dtype[Any]] = {
 
 
 def encode_view(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """A view file.
-
-    Parameters
-    ----------
-    head : mapping
-        JSON-ready.
-    arrays : mapping of name to uint8, uint16, uint32 or float array
-        Integers are packed as differences along the last axis, which a smooth field makes small.
-    """
+    """A view file of a JSON-ready head and arrays of uint8, uint16, uint32 or floats."""
     blobs, listed = [], []
     for name, array in arrays.items():
         kind = f"u{8 * array.dtype.itemsize}" if array.dtype.kind == "u" else "f32"
         flat = np.ascontiguousarray(array, _TYPES[kind]).reshape(-1)
+        # differences along the last axis are small in a smooth field, and small numbers pack well
         delta = kind != "f32"
         data = np.diff(flat, prepend=flat.dtype.type(0)).tobytes() if delta else flat.tobytes()
         blobs.append(gzip.compress(data, compresslevel=9, mtime=0))
@@ -50,13 +43,7 @@ def encode_view(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
 
 
 def head_of(data: bytes) -> dict[str, Any]:
-    """The head of a view file.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """The head of a view file; `InputError` if it is none."""
     end = data.find(b"\n", len(MAGIC), len(MAGIC) + MAX_HEAD)
     try:
         if not data.startswith(MAGIC) or end < 0:

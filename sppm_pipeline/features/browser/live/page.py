@@ -28,6 +28,7 @@ def joined_script(*files: Path) -> str:
 
 def policy(script: str) -> str:
     """The content security policy of a page whose only script is this: nothing is fetched, nothing else is run."""
+    # a digest, and no 'unsafe-inline': a script in the text of a record would not run
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data: blob:; "
@@ -38,6 +39,7 @@ def policy(script: str) -> str:
 def json_block(value: Any) -> str:
     """JSON that may stand in a ``<script type="application/json">``: nothing in it ends the element."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    # "</script>" in a name would end the element; U+2028 and U+2029 end lines in older JavaScript
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 

@@ -17,7 +17,7 @@ from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, png_of
-from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.grid import VOXEL_FACES, Grid
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.browser.live.solid_view import Colors, Solid
@@ -40,25 +40,20 @@ _BOX_FACES = np.array(
      [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
 
+PHASE_COLORS = np.array(
+    [(226, 216, 196), (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0)],
+    np.uint8,
+)
+"""Bone, then colors that all kinds of color vision tell apart (Okabe and Ito 2008); phase 8 begins again."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Something to be seen, sampled once for any number of views.
+    """Something to be seen, sampled once for any number of views."""
 
-    Attributes
-    ----------
-    solid : Solid
-        In the unit of length of what is seen: cell sizes, or of a mesh millimeters.
-    unit_mm : float or None
-        That unit, mm; None if it has no physical size.
-    removed_share : float
-        Islands that were left out, as a share of the solid samples.
-    colors : Colors
-    """
-
-    solid: Solid
-    unit_mm: float | None
-    removed_share: float
+    solid: Solid  # in the unit of length of what is seen: cell sizes, or of a mesh millimeters
+    unit_mm: float | None  # that unit, mm; None if it has no physical size
+    removed_share: float  # islands that were left out, as a share of the solid samples
     colors: Colors
 
     def frame(self, size: tuple[int, int], camera: Camera) -> Frame:
@@ -78,19 +73,11 @@ class Scene:
         background: Background = "light",
         threads: int = 1,
     ) -> NDArray[np.uint8]:
-        """A view (height, width, 3), or with a transparent background (height, width, 4) uint8.
+        """A view (height, width, 3), or with a transparent background (height, width, 4) uint8, of `size` (width,
+        height).
 
-        Parameters
-        ----------
-        size : (width, height)
-        camera : Camera
-        section : float, optional
-            Keep only this fraction along `section_along`, the side away from the viewer, to look inside.
-        section_along : {"x", "y", "z"}
-        annotate : bool
-            Whether the axes and a scale bar are drawn.
-        background : Background
-        threads : int
+        With a `section` only this fraction along `section_along` is kept, the side away from the viewer, to look
+        inside; `annotate` draws the axes and a scale bar.
         """
         from sppm_pipeline.features.browser.live.solid_view import render_solid
         from sppm_pipeline.services.pictures.sheets import annotated
@@ -111,21 +98,9 @@ class Scene:
 
 
 def scene_of(
-    what: ScalarField | SurfaceMesh,
-    resolution: int,
-    *,
-    threads: int = 1,
-    max_samples: int = MAX_SAMPLES,
+    what: ScalarField | SurfaceMesh, resolution: int, *, threads: int = 1, max_samples: int = MAX_SAMPLES
 ) -> Scene:
-    """Solid of a field, or the inside of a closed mesh.
-
-    Parameters
-    ----------
-    what : ScalarField or SurfaceMesh
-    resolution : int
-        Samples along a cell edge; fewer if there were more than `max_samples`. A mesh needs none.
-    threads, max_samples : int
-    """
+    """Solid of a field, of up to `max_samples`, `resolution` along a cell edge; or the inside of a closed mesh."""
     from sppm_pipeline.features.browser.live.solid_view import COLORS, Solid
 
     if isinstance(what, SurfaceMesh):
@@ -161,6 +136,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     from sppm_pipeline.features.browser.live.solid_view import Solid
 
     nx, ny, nz = grid.shape
+    # by scan lines the triangles themselves bound the part; otherwise its surface is sampled, too
     closed = part.method == "scanline"
     field = np.empty((nz, ny, nx), np.float32)
     skin = np.empty_like(field) if part.skin_mm else None
@@ -215,32 +191,30 @@ def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.ui
     return (total - largest) / max(1, total)
 
 
-def field_picture(
-    field: ScalarField,
-    resolution: int,
-    size: tuple[int, int],
-    camera: Camera,
-    *,
-    section: float | None = None,
-    threads: int = 1,
-    max_samples: int = MAX_SAMPLES,
-) -> NDArray[np.uint8]:
-    """The solid of a field as a picture (height, width, 3): `scene_of` and a view of it."""
-    scene = scene_of(field, resolution, threads=threads, max_samples=max_samples)
-    return scene.picture(size, camera, section=section, threads=threads)
-
-
 def mesh_picture(
-    mesh: SurfaceMesh,
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.integer],
     size: tuple[int, int],
     camera: Camera,
     *,
+    colors: NDArray[np.uint8] | None = None,
+    unit_mm: float | None = 1.0,
     annotate: bool = False,
     background: Background = "light",
     threads: int = 1,
 ) -> NDArray[np.uint8]:
-    """The triangles of a mesh, seen from both sides; (height, width, 3), or 4 with a transparent background."""
-    return _triangles(mesh.vertices, mesh.faces, None, 1.0, size, camera, annotate, background, threads)
+    """Triangles, seen from both sides; (height, width, 3), or 4 with a transparent background."""
+    from sppm_pipeline.services.pictures.camera import framed
+    from sppm_pipeline.services.pictures.mesh_view import render_mesh
+    from sppm_pipeline.services.pictures.sheets import annotated
+
+    picture = render_mesh(
+        vertices, faces, camera=camera, size=size, face_colors=colors, background=background, threads=threads
+    )
+    if not (annotate and len(faces)):
+        return picture
+    frame = framed(camera, vertices[np.unique(faces)], size)
+    return annotated(picture, frame, unit_mm, dark=background == "dark")
 
 
 def voxel_picture(
@@ -254,13 +228,9 @@ def voxel_picture(
     background: Background = "light",
     threads: int = 1,
 ) -> NDArray[np.uint8]:
-    """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles.
-
-    Only every second or third voxel of larger images than `MAX_SAMPLES` is looked at; no pixel would show the rest.
-    """
-    from sppm_pipeline.features.browser.live.voxel_view import phase_surface
-
+    """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles."""
     phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
+    # only every second or third voxel of larger images is looked at; no pixel would show the rest
     step = math.ceil((phases.size / MAX_SAMPLES) ** (1 / 3))
     phases = phases[::step, ::step, ::step]
     if section is not None:
@@ -269,33 +239,33 @@ def voxel_picture(
         phases = np.take(phases, range(min(n - 1, round((1 - section) * n)), n), axis)
     x, y, z = (step * h for h in image.spacing)
     vertices, faces, colors = phase_surface(phases, (x, y, z))
-    unit_mm = 1.0 if image.physical else None
-    return _triangles(vertices, faces, colors, unit_mm, size, camera, annotate, background, threads)
+    return mesh_picture(
+        vertices, faces, size, camera, colors=colors, unit_mm=1.0 if image.physical else None, annotate=annotate,
+        background=background, threads=threads,
+    )  # fmt: skip
 
 
-def _triangles(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.integer],
-    colors: NDArray[np.uint8] | None,
-    unit_mm: float | None,
-    size: tuple[int, int],
-    camera: Camera,
-    annotate: bool,
-    background: Background,
-    threads: int,
-) -> NDArray[np.uint8]:
-    """Triangles, in colors of their own or not, and where they are wanted axes and a scale bar."""
-    from sppm_pipeline.services.pictures.camera import framed
-    from sppm_pipeline.services.pictures.mesh_view import render_mesh
-    from sppm_pipeline.services.pictures.sheets import annotated
+def phase_surface(
+    phases: NDArray[np.uint8], spacing: tuple[float, float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
+    """Faces of voxels, `phases` (nx, ny, nz) with edges `spacing`, that border on void (0) or on the outside.
 
-    picture = render_mesh(
-        vertices, faces, camera=camera, size=size, face_colors=colors, background=background, threads=threads
-    )
-    if not (annotate and len(faces)):
-        return picture
-    frame = framed(camera, vertices[np.unique(faces)], size)
-    return annotated(picture, frame, unit_mm, dark=background == "dark")
+    Vertices (p, 3), triangles (n, 3) with normals outwards, and for each the color of the phase behind it.
+    """
+    solid = np.pad(phases > 0, 1)
+    inner = tuple(slice(1, -1) for _ in range(3))
+    nodes = np.array(phases.shape) + 1
+    triangles, colors = [], []
+    for beyond, corners in VOXEL_FACES:
+        bare = np.argwhere(solid[inner] & ~np.roll(solid, [-step for step in beyond], (0, 1, 2))[inner])
+        ends = np.array([[c & 1, c >> 1 & 1, c >> 2] for c in corners])
+        quads = np.ravel_multi_index(tuple(np.moveaxis(bare[:, None] + ends, 2, 0)), tuple(nodes))
+        color = PHASE_COLORS[(phases[tuple(bare.T)].astype(np.int64) - 1) % len(PHASE_COLORS)]
+        triangles += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
+        colors += [color, color]
+    used, faces = np.unique(np.concatenate(triangles), return_inverse=True)
+    vertices = np.stack(np.unravel_index(used, tuple(nodes)), axis=1) * np.array(spacing)
+    return vertices, faces.reshape(-1, 3), np.concatenate(colors)
 
 
 def tile_sheet(
@@ -338,4 +308,4 @@ def notebook_png(what: ScalarField | TileSet) -> bytes | None:
         return png_of(tile_sheet(what, 24, Camera()))
     if isinstance(what, Microstructure) and (what.interiors > 1 or max(what.colors) > 1):
         return None
-    return png_of(field_picture(what, 40, NOTEBOOK_SIZE, Camera(), max_samples=NOTEBOOK_SAMPLES))
+    return png_of(scene_of(what, 40, max_samples=NOTEBOOK_SAMPLES).picture(NOTEBOOK_SIZE, Camera()))

@@ -78,24 +78,7 @@ class LocalHandler(BaseHTTPRequestHandler):
 
 
 class LocalServer(ThreadingHTTPServer):
-    """A server of this machine for a browser of this machine.
-
-    Parameters
-    ----------
-    port : int
-        0 for any that is free.
-    handler : type of LocalHandler
-
-    Attributes
-    ----------
-    token : str
-    address : str
-
-    Raises
-    ------
-    ResourceError
-        If the port can't be had.
-    """
+    """Server for a browser of this machine, on any free port for 0; `ResourceError` if the port can't be had."""
 
     daemon_threads = True
     block_on_close = False
@@ -103,6 +86,7 @@ class LocalServer(ThreadingHTTPServer):
     def __init__(self, port: int, handler: type[LocalHandler]) -> None:
         import secrets
 
+        # other users of this machine reach the port as well, but can't guess 128 random bits
         self.token = secrets.token_urlsafe(16)
         try:
             super().__init__(("127.0.0.1", port), handler)

@@ -1,8 +1,8 @@
 """Pictures of sampled fields by rays: from each pixel through the field, within the triangles that bound the part.
 
 Where a ray is inside the part is known from the triangles themselves. Rims, where the microstructure meets the surface
-of the part, are therefore exact, which they are not on a mesh of the maximum of both fields. A pixel has one ray; those
-on edges, of which a neighbor has another depth, normal or color, get eight more.
+of the part, are therefore exact, which they are not on a mesh of the maximum of both fields. A pixel has one ray;
+those on edges, of which a neighbor has another depth, normal or color, get eight more.
 """
 
 from __future__ import annotations
@@ -54,29 +54,14 @@ _SAME_DEPTH = 0.75  # pixels off the plane of a sample up to which a neighbor is
 
 
 class Solid(NamedTuple):
-    """Solid: negative samples within a mesh.
+    """Solid: negative samples (nz, ny, nx) within a mesh."""
 
-    Attributes
-    ----------
-    grid : Grid
-        Where the samples are; all spacings are equal.
-    vertices : (n, 3) float64
-        Of the mesh, in the unit of the grid.
-    faces : (m, 3) int
-        They bound the part, wound outwards.
-    field : (nz, ny, nx) float32
-        Negative in the solid of the microstructure.
-    skin : (nz, ny, nx) float32, optional
-        Negative in the skin, which is united with the microstructure.
-    outer : (nz, ny, nx) float32, optional
-        Positive outside of a part whose triangles do not bound it; the mesh is then something around it.
-    """
-
-    grid: Grid
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.integer]
-    field: NDArray[np.float32]
-    skin: NDArray[np.float32] = _NO_VALUES
+    grid: Grid  # of the samples, all spacings equal
+    vertices: NDArray[np.float64]  # (n, 3), of the mesh, in the unit of the grid
+    faces: NDArray[np.integer]  # (m, 3); they bound the part, wound outwards
+    field: NDArray[np.float32]  # negative in the solid of the microstructure
+    skin: NDArray[np.float32] = _NO_VALUES  # negative in the skin, which is united with the microstructure
+    # positive outside of a part whose triangles do not bound it; the mesh is then something around it
     outer: NDArray[np.float32] = _NO_VALUES
 
 
@@ -141,31 +126,14 @@ def render_solid(
     antialias: bool = True,
     threads: int = 1,
 ) -> NDArray[np.uint8]:
-    """Picture of a solid.
+    """Picture (height, width, 3) uint8 (sRGB) of a solid, with the opacity as a fourth channel if the background is
+    transparent.
 
-    Parameters
-    ----------
-    solid : Solid
-    frame : Frame
-        The camera, pointed at the solid for a picture of this size.
-    size : (width, height)
-        In pixels.
-    section : (normal, place), optional
-        A plane, as the unit vector towards what is left out and its distance along that from the origin; the viewer is
-        on that side.
-    colors : Colors
-    occlusion : float
-        Strength of the darkening of pores and creases; 0 leaves it out.
-    background : Background
-        "light" or "dark", which are gradients, "transparent", or one color.
-    antialias : bool
-        Whether pixels on edges get eight rays more.
-    threads : int
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        The picture (sRGB); with a fourth channel, the opacity, if the background is transparent.
+    `frame` is the camera, pointed at the solid for a picture of this `size` (width, height). The plane `section` is
+    given by the unit vector towards what is left out, where the viewer is, and its distance along that from the
+    origin. `occlusion` is the strength of the darkening of pores and creases; 0 leaves it out. The `background` is
+    "light" or "dark", which are gradients, "transparent", or one color. With `antialias` pixels on edges get eight
+    rays more.
     """
     width, height = size
     scene = _scene(solid, frame, size, section, colors)
@@ -187,11 +155,7 @@ def render_solid(
 
 
 def _scene(
-    solid: Solid,
-    frame: Frame,
-    size: tuple[int, int],
-    section: tuple[Sequence[float], float] | None,
-    colors: Colors,
+    solid: Solid, frame: Frame, size: tuple[int, int], section: tuple[Sequence[float], float] | None, colors: Colors
 ) -> RayScene:
     width, height = size
     origin, h = np.array(solid.grid.origin), solid.grid.spacing[0]
@@ -216,13 +180,11 @@ def _scene(
 
 
 def _void(solid: Solid) -> NDArray[np.uint8]:
-    """Lower bound of the distance of each block, in blocks, to the next one that may hold solid; up to `_FAR`.
-
-    Blocks are 2 x 2 x 2 cubes of samples; distances are the largest difference of indices, 0 is the block itself.
-    """
+    """Lower bound of the distance of each block, in blocks, to the next one that may hold solid; up to `_FAR`."""
     near = _in_blocks(solid.field < 0 if not solid.skin.size else (solid.field < 0) | (solid.skin < 0))
     if solid.outer.size:
         near &= _in_blocks(solid.outer < 0)
+    # blocks are 2 x 2 x 2 cubes of samples; distances are the largest difference of indices, 0 is the block itself
     void = np.zeros(near.shape, np.uint8)
     for _ in range(_FAR):
         void += ~near

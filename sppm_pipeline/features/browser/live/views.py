@@ -23,20 +23,8 @@ STEPS = 65535
 
 
 def view_of(what: Artifact, *, samples: int = SAMPLES, threads: int = 1) -> bytes:
-    """The view file of an artifact: by the viewer of its type, else of the surface that stands for it.
-
-    Parameters
-    ----------
-    what : Artifact
-        A `Viewable`, or of a type for which there is a `Viewer`.
-    samples : int
-        At most so many samples of a field, as far as it fills its box.
-    threads : int
-
-    Raises
-    ------
-    DesignError
-        If nothing is there to be shown.
+    """The view file of an artifact: by the viewer of its type, with at most so many samples of a field, as far as it
+    fills its box; else of the surface that stands for it. `DesignError` if nothing is there to be shown.
     """
     viewer = viewer_of(type(what))
     if viewer is not None:
@@ -57,22 +45,16 @@ def mesh_view(
     unit: str,
     most: int = TRIANGLES,
 ) -> bytes:
-    """The view file of a mesh.
+    """The view file of a mesh, vertices (n, 3) and at least one of faces (m, 3).
 
-    Parameters
-    ----------
-    vertices : (n, 3) array
-    faces : (m, 3) array of int
-        At least one.
-    title, unit : str
-        What it is, and of what its coordinates are: "mm", or what the modulus surface of a stiffness has.
-    most : int
-        Of more triangles, vertices in small cubes are merged, and triangles that vanish are left out.
+    `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of more than `most`
+    triangles, vertices in small cubes are merged, and triangles that vanish are left out.
     """
     from sppm_pipeline.services.mesh.measures import balanced_edges
 
     used, corners = np.unique(faces, return_inverse=True)
     points, triangles = np.asarray(vertices, float)[used], corners.reshape(-1, 3)
+    # 16 bits along the longest edge resolve more than a screen does
     low, size = points.min(0), np.ptp(points, axis=0)
     kept, shown = clustered(points, triangles, most)
     longest = float(size.max()) or 1.0

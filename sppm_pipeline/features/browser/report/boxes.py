@@ -16,8 +16,8 @@ MAX_GAP = 0.003
 def porosities(stages: Sequence[Mapping[str, Any]], view: Mapping[str, Any] | None) -> list[tuple[str, float, str]]:
     """Porosity wanted, of the field, of the layers and of the mesh, as far as they are known: (what, value, stage).
 
-    The field's is that which the last stage of its own reports, else that of the live view's samples. Layers and meshes
-    are compared with the volume of the part, else with that of the cells.
+    The field's is that which the last stage of its own reports, else that of the live view's samples. Layers and
+    meshes are compared with the volume of the part, else with that of the cells.
     """
     found: dict[str, tuple[float, str]] = {}
     volume: float | None = None

@@ -55,28 +55,12 @@ def report_html(
     threads: int = 1,
     plugins: Plugins | None = None,
 ) -> str:
-    """The report of a run, the same text for the same directory.
+    """The report of a run, the same text for the same directory; `InputError` if the record is not as this program
+    writes them.
 
-    Parameters
-    ----------
-    path : Path
-        The run directory; files whose digests are wrong are named in red.
-    record : mapping
-        From `read_record`.
-    view : bytes, optional
-        A view file, as ``write.view`` writes it.
-    note : str
-        Why there is no live view, and what to do.
-    max_bytes : int
-        What the file should not exceed: the view, layers and pictures get fixed shares.
-    threads : int
-    plugins : Plugins, optional
-        Whose stages' results and sections are shown; the built-in ones if omitted.
-
-    Raises
-    ------
-    InputError
-        If the record is not as this program writes them.
+    Files whose digests are wrong are named in red. `view` is a view file, as ``write.view`` writes it, `note` says why
+    there is none, and what to do. The view, layers and pictures get fixed shares of `max_bytes`. Results and sections
+    are shown of the stages of `plugins`, the built-in ones if omitted.
     """
     raw = max_bytes * 3 // 4  # base64 makes 4 characters of 3 bytes
     if view is not None and len(view) > VIEW_SHARE * raw:
@@ -86,6 +70,7 @@ def report_html(
         )
         view = None
     try:
+        # a report may be mailed: what follows sees no folder of this disk
         record = without_folders(record)
         context = _context(path, record, view, raw, threads, plugins or load_plugins(distributions=False))
     except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
@@ -225,6 +210,7 @@ def _stages(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> l
     config = record.get("config")
     entries = config.get("pipeline" if "runs" not in record else "after") or () if isinstance(config, Mapping) else ()
     there = {stage["id"] for stage in shown_stages}
+    # stages that did not run are drawn one below the other, as what they take is not in the record
     before = shown_stages[-1]["id"] if shown_stages else None
     for entry in entries if record["status"] != "done" else ():
         id_ = str(entry.get("id", entry.get("stage")))

@@ -25,15 +25,13 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
     step = (high - low) / about
     power = 10.0 ** math.floor(math.log10(step))
     step = min((m * power for m in (1, 2, 5, 10) if m * power >= step), default=10 * power)
+    # ends that are multiples but for rounding keep their ticks
     first = math.ceil(low / step - 1e-9)
     return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
 def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str = "") -> str:
-    """Curves over one number as an ``<svg>``; empty if there is nothing to draw.
-
-    The element states its axes in ``data-`` attributes, by which the page's script finds what was clicked on.
-    """
+    """Curves over one number as an ``<svg>``; empty if there is nothing to draw."""
     data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
     known = [np.isfinite(x) & np.isfinite(y) for x, y in data]
     if not any(k.any() for k in known):
@@ -70,6 +68,7 @@ def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str 
         f"{html.escape(y_label)}</text>"
     )
     parts += _legend([curve.label for curve in curves], LEFT + 12, TOP + 8)
+    # the page's script finds by these attributes what was clicked on
     where = f'id="{id_}" data-x0="{x0:.9g}" data-x1="{x1:.9g}" data-left="{LEFT}" data-right="{right}"' if id_ else ""
     name = html.escape(f"{y_label} over {x_label}", quote=True)
     return (
@@ -81,6 +80,7 @@ def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str 
 def _range(values: NDArray[np.float64]) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     pad = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
+    # what begins at zero is seen to begin there
     return (low if low == 0 else low - pad), high + pad
 
 
@@ -114,14 +114,8 @@ def chart_svg(chart: Chart) -> str:
 
 
 def polar_chart(curves: Sequence[Curve], label: str) -> str:
-    """Curves over the directions of a plane as an ``<svg>``; empty if there is nothing to draw.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        `x` are angles from the right (radians), `y` distances from the middle, finite and not all zero.
-    label : str
-        What the distances are, below the circles.
+    """Curves over the directions of a plane as an ``<svg>``, `x` the angles from the right (radians) and `y` distances
+    from the middle, finite and not all zero; empty if there is nothing to draw. `label` says what the distances are.
     """
     data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
     largest = max((float(radius.max()) for _, radius in data), default=0.0)

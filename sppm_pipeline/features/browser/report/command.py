@@ -74,21 +74,11 @@ def of_run(
     remake: bool = False,
     plugins: bool = True,
 ) -> None:
-    """Write the report of a run directory.
+    """Write the report of a run directory to `target`, of at most `most` bytes.
 
-    Parameters
-    ----------
-    path, target : Path
-        The run directory, and the file to write.
-    args : Namespace
-        With the arguments of `add_cache` and `add_plugins`.
-    most : int
-        Bytes that the file should not exceed.
-    view, remake : bool
-        Whether there is a live view, and whether stages are run again for it.
-    plugins : bool
-        Whether plugins are loaded to run stages again; what shows results in a report is loaded from those that are
-        installed or named in `args`, and not from those that the configuration names, unless this is True.
+    `view` and `remake` say whether there is a live view, and whether stages are run again for it. What shows results
+    is loaded from plugins that are installed or named in `args` (`add_cache`, `add_plugins`); from those that the
+    configuration names only with `plugins`, which loads them to run stages again.
     """
     from dataclasses import replace
 

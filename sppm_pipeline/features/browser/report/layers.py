@@ -30,36 +30,18 @@ MAX_OPENED = 2**26
 
 
 class Layers(NamedTuple):
-    """The layers of a run, as PNG files one after the other.
-
-    Attributes
-    ----------
-    folder : str
-    total : int
-        Of the run; the report may hold fewer.
-    numbers : list of int
-        Which layers these are.
-    files : list of bytes
-    size : (width, height) in pixels, as printed
-    reduced : int
-        Pixels of a layer along one of the pictures here; 1 if these are the files themselves.
-    pixel_mm : (x, y)
-    layer_mm : float
-    origin_mm : (x, y, z)
-    solid_mm2 : (n,) float64
-        Solid area of each of these layers.
-    """
+    """The layers of a run, as PNG files one after the other."""
 
     folder: str
-    total: int
-    numbers: list[int]
+    total: int  # of the run; the report may hold fewer
+    numbers: list[int]  # which layers these are
     files: list[bytes]
-    size: tuple[int, int]
-    reduced: int
+    size: tuple[int, int]  # width and height in pixels, as printed
+    reduced: int  # pixels of a layer along one of the pictures here; 1 if these are the files themselves
     pixel_mm: tuple[float, float]
     layer_mm: float
     origin_mm: tuple[float, float, float]
-    solid_mm2: NDArray[np.float64]
+    solid_mm2: NDArray[np.float64]  # (n,), solid area of each of these layers
 
     def head(self) -> dict[str, Any]:
         """Description of the bytes for the script of the page."""
@@ -72,17 +54,7 @@ class Layers(NamedTuple):
 
 
 def layers_of(path: Path, outputs: Sequence[Mapping[str, Any]], budget: int) -> Layers | None:
-    """The layers that a run has written as a folder of PNG files; None if there is none that can be read.
-
-    Parameters
-    ----------
-    path : Path
-        The run directory.
-    outputs : sequence of mapping
-        Outputs of the run as the record holds them.
-    budget : int
-        Bytes that the layers may take.
-    """
+    """Layers that a run has written as a folder of PNG files, of at most `budget` bytes; None if none can be read."""
     for output in outputs:
         folder = path / str(output.get("path"))
         if "files" not in output or not (folder / "manifest.json").is_file():
@@ -111,6 +83,7 @@ def _read(folder: Path, name: str, manifest: Mapping[str, Any], budget: int) -> 
             numbers = list(range(0, count, step))
             paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
     read = [_layer(p, reduced) for p in paths]
+    # sizes of reduced layers are known only when they are made: every second one goes until the rest fits
     while len(read) > 1 and sum(len(data) for data, _ in read) > budget:
         read, numbers = read[::2], numbers[::2]
     px, py = (float(v) for v in manifest["pixel_mm"])
@@ -128,6 +101,7 @@ def _layer(path: Path, reduced: int) -> tuple[bytes, float]:
     data = path.read_bytes()
     with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
         if image.width * image.height > MAX_OPENED:
+            # known before it is decoded: a small file may hold billions of pixels
             raise ValueError("too large a layer")
         gray = image.convert("L")
     share = float(np.asarray(gray).mean() / 255)
@@ -151,10 +125,7 @@ class Picture(NamedTuple):
 def pictures_of(
     path: Path, outputs: Sequence[Mapping[str, Any]], budget: int, pixels: int = PICTURE_PIXELS
 ) -> list[Picture]:
-    """The pictures and charts that a run has written, in their order; small files as they are, others reduced.
-
-    SVG files are shown by ``<img>``, in which no browser runs scripts or fetches anything.
-    """
+    """The pictures and charts that a run has written, in their order; small files as they are, others reduced."""
     found: list[Picture] = []
     for output in outputs:
         name = str(output.get("path"))
@@ -174,6 +145,7 @@ def pictures_of(
 def _picture(name: str, data: bytes, suffix: str, most: int, pixels: int) -> Picture | None:
     from PIL import Image
 
+    # SVG files are shown by <img>, in which no browser runs scripts or fetches anything
     if suffix == ".svg":
         return Picture(name, data_uri("image/svg+xml", data), 560, 400, True) if len(data) <= most else None
     with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
@@ -206,6 +178,7 @@ def outputs_of(path: Path, stages: Sequence[Mapping[str, Any]]) -> list[Mapping[
                 place = path.joinpath(*output_parts(output["path"])).resolve()
             except (SppmError, OSError, ValueError, TypeError, KeyError):
                 continue
+            # a record may name any file of this machine, and a report is mailed
             if place.is_relative_to(home):
                 found.append(output)
     return found

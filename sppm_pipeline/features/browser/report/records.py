@@ -21,13 +21,7 @@ _BARE = re.compile(rf"(?<![\w.:/…~\\'\"`-]){_ROOT}(?:[^\s'\"`,;:()\\/]+[\\/])+
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """The record of a run, sound or not.
-
-    Raises
-    ------
-    InputError
-        If the directory holds none.
-    """
+    """The record of a run, sound or not; `InputError` if the directory holds none."""
     try:
         record = json.loads((path / RECORD).read_bytes())
     except FileNotFoundError:
@@ -42,9 +36,8 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def without_folders(value: Any) -> Any:
-    """A JSON value in whose texts absolute paths are cut to their last name, and without the configuration's folder.
-
-    Relative paths stay: they are those of files of the run, or beside the configuration.
+    """A JSON value in whose texts absolute paths are cut to their last name, and without the configuration's folder;
+    relative paths stay: they are those of files of the run, or beside the configuration.
     """
     if isinstance(value, Mapping):
         # `folder` of a recorded configuration is where its relative paths begin

@@ -31,15 +31,7 @@ MULTIPLES = 48
 
 
 def sweep_context(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Data of a sweep for the template.
-
-    Parameters
-    ----------
-    path : Path
-        The run directory.
-    record : mapping
-        With `runs`.
-    """
+    """Data of a sweep, whose record has `runs`, for the template."""
     runs: list[Mapping[str, Any]] = list(record["runs"])
     table = _table(path)
     params = list(runs[0]["params"]) if runs else []
@@ -111,6 +103,7 @@ def _charts(names: Sequence[str], rows: Sequence[Sequence[Any]], params: Sequenc
     along = max((name for name in counts if name != "seed"), key=lambda name: counts[name], default=None)
     if along is None or counts[along] < 2:
         return []
+    # a column of one value makes no chart
     numbers = [n for n in names if n not in params and len({v for v in columns[n] if v is not None}) > 1]
     numbers.sort(key=_rank)
     # every n-th row: more points than pixels only make the page large
@@ -135,6 +128,7 @@ def _multiples(path: Path, runs: Sequence[Mapping[str, Any]]) -> list[dict[str, 
         folder = path / SWEEP_RUNS / str(run["run"])
         try:
             stages = json.loads((folder / "run.json").read_bytes())["stages"]
+            # no picture takes more than an eighth of what is left, so that many rows have one
             pictures = pictures_of(folder, outputs_of(folder, stages)[:8], budget // 8, pixels=240)
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue

@@ -40,23 +40,8 @@ def live_view(
 ) -> tuple[bytes | None, str]:
     """The view file of a run, or None and why there is none.
 
-    Parameters
-    ----------
-    path : Path
-        The run directory.
-    record : mapping
-    outputs : sequence of mapping
-        The outputs of the run that lie in its directory.
-    request : RunRequest
-        Which plugins may be loaded; by default none, since a report must not run code that came with the run of another
-        user.
-    store : Store, optional
-        The cache.
-    threads : int
-    remake : bool
-        Whether stages may run that took long.
-    samples : int
-        See `view_of`.
+    `outputs` are those of the run that lie in its directory, `request` says which plugins may be loaded, `store` is
+    the cache; with `remake` stages may run that took long; `samples` as for `view_of`.
     """
     for output in reversed(outputs):
         if str(output["path"]).endswith(SUFFIX):
@@ -69,6 +54,7 @@ def live_view(
     if "runs" in record:
         return None, ""
     try:
+        # by default no plugins may be loaded: a report must not run code that came with the run of another user
         plan = open_session(request).plan()
         step = _last_shown(plan, {str(stage["id"]) for stage in record["stages"]})
         if step is None:
@@ -90,6 +76,7 @@ def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
 
     ran_steps = [step for step in plan.steps if step.id in ran]
     ranks = [max(map(rank, step.makes), default=0) for step in ran_steps]
+    # of several of the best kind the last one
     best, number = max(zip(ranks, range(len(ranks)), strict=True), default=(0, 0))
     return ran_steps[number] if best else None
 
@@ -112,6 +99,7 @@ def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | N
             continue
         needed.add(id_)
         entry = session.entry(id_) if session is not None else None
+        # its value is that of an input, which has to be made in its place
         passed_on = entry is not None and not entry.has_value and kept[id_]
         if not kept[id_] or passed_on:
             rest += [source for source in steps[id_].inputs.values() if source is not None]

@@ -14,18 +14,15 @@ LONGEST = 24
 
 
 def wiring_svg(stages: Sequence[Mapping[str, Any]]) -> str:
-    """Boxes in rows by the longest way from a stage without inputs; empty for no stages.
-
-    Parameters
-    ----------
-    stages : sequence of mapping
-        `id`, `stage`, `state` ("done", "kept", "failed" or "missing"), `inputs` (port -> id) and `recipes`, in order.
+    """Boxes in rows by the longest way from a stage without inputs; empty for no stages. Of each stage, in order,
+    `id`, `stage`, `state` ("done", "kept", "failed" or "missing"), `inputs` (port -> id) and `recipes` are taken.
     """
     if not stages:
         return ""
     rank: dict[str, int] = {}
     for stage in stages:
         sources = [rank[s] for s in stage["inputs"].values() if s in rank]
+        # below all that it takes something from, so that lines lead down
         rank[stage["id"]] = max(sources, default=-1) + 1
     rows: dict[int, list[Mapping[str, Any]]] = {}
     for stage in stages:

@@ -147,6 +147,7 @@ class WriteChart(Stage):
         from sppm_pipeline.services.pictures.chart_style import COLORS
         from sppm_pipeline.services.pictures.charts import Series
 
+        # a bound of x alone is one curve; one of each group jumps between them where these are mixed
         whole = _line(x[shown], bound[shown])
         lines = [_line(x[own], bound[own]) for own in groups]
         if len(lines) < 2 or _turns(whole[1]) <= sum(_turns(y) for _, y in lines):

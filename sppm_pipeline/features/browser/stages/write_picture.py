@@ -71,10 +71,7 @@ class WritePicture(Stage):
             n -= 1
         grid = what.grid(n)
         return Size(
-            pixels=tiles * pixels,
-            samples=tiles * grid.samples,
-            sums=tiles * grid.sums,
-            resident=grid.samples + held,
+            pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples + held
         )
 
     def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:
@@ -100,8 +97,9 @@ class WritePicture(Stage):
             )  # fmt: skip
         elif isinstance(what, SurfaceMesh) and self.section is None:
             picture = mesh_picture(
-                what, self.image_size, camera, annotate=self.annotate, background=self.background, threads=threads
-            )
+                what.vertices, what.faces, self.image_size, camera, annotate=self.annotate,
+                background=self.background, threads=threads,
+            )  # fmt: skip
         else:
             if isinstance(what, SurfaceMesh) and not what.bounds_solid:
                 raise ConfigError(

@@ -32,11 +32,7 @@ class WriteSheet(Stage):
     picture: str = option("picture.png", help="name of the picture in the folder of each run", run_file=True)
     label: str = options.label("run", note="its values stand beneath the pictures")
     per_row: int | None = option(
-        None,
-        help="pictures in a row; about as many as rows if omitted",
-        minimum=1,
-        maximum=100,
-        formerly="columns",
+        None, help="pictures in a row; about as many as rows if omitted", minimum=1, maximum=100, formerly="columns"
     )
     width: int = option(
         300, help="wider pictures are scaled down to this width", unit="pixels", minimum=16, maximum=2048
@@ -75,6 +71,7 @@ class WriteSheet(Stage):
             data = Path(file.path).read_bytes()
         except OSError as error:
             raise InputError(f"cannot read {file.path}: {error.strerror}") from error
+        # the sheet must show what the recorded runs made
         if hashlib.sha256(data).hexdigest() != file.sha256:
             raise InputError(f"{file.path} was changed since its run wrote it", hint="run the sweep again")
         try:

@@ -30,49 +30,25 @@ INSTANT = ("pore_radius", "tunnel_radius", "omega", "mu", "level")
 
 @dataclass(frozen=True)
 class Control:
-    """Something that may be changed.
+    """Something that may be changed."""
 
-    Attributes
-    ----------
-    key : str
-        Its path in the text; see `places`.
-    group : str
-        The stage that it belongs to, as messages call it.
-    label, help, unit, allowed : str
-    kind : {"number", "integer", "length", "choice", "flag"}
-    value : Any
-        As YAML has it; None if it is left out, a list if it is one.
-    choices : tuple of str
-    slider : (low, high, step) or None
-        None where there is no value to go out from.
-    written : bool
-        Whether it stands in the file; the page shows these first.
-    optional : bool
-        Whether it may be left out.
-    instant : str
-        Which of `INSTANT` it is; empty for others.
-    """
-
-    key: str
-    group: str
+    key: str  # its path in the text; see `places`
+    group: str  # the stage that it belongs to, as messages call it
     label: str
     help: str
     unit: str
     allowed: str
-    kind: str
-    value: Any
+    kind: str  # "number", "integer", "length", "choice" or "flag"
+    value: Any  # as YAML has it; None if it is left out, a list if it is one
     choices: tuple[str, ...] = ()
-    slider: tuple[float, float, float] | None = None
-    written: bool = True
-    optional: bool = False
-    instant: str = ""
+    slider: tuple[float, float, float] | None = None  # low, high, step; None without a value to go out from
+    written: bool = True  # it stands in the file; the page shows these first
+    optional: bool = False  # it may be left out
+    instant: str = ""  # which of `INSTANT` it is; empty for others
 
 
 def controls_of(plan: Plan, steps: Sequence[Step], registry: Registry, known: Mapping[str, Place]) -> list[Control]:
-    """The controls of these steps, in order: the seed, and what is written of each stage before what is left out.
-
-    Options whose value is a parameter of the configuration change the parameter, once for all stages that use it.
-    """
+    """The controls of these steps, in order: the seed, and what is written of each stage before what is left out."""
     at = {(place.line, place.column): key for key, place in reversed(tuple(known.items()))}
     seed = OptionSpec("integer from which all random numbers are drawn", minimum=0, maximum=MAX_SEED)
     made = {
@@ -88,6 +64,7 @@ def controls_of(plan: Plan, steps: Sequence[Step], registry: Registry, known: Ma
         else:
             continue  # a preset that is named, and not written down
         for control in found:
+            # options whose value is a parameter change the parameter, once for all stages that use it
             made.setdefault(control.key, control)
     return list(made.values())
 

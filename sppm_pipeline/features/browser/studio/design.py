@@ -89,20 +89,10 @@ class Target:
 
 
 class Design:
-    """A configuration, what may be changed of it, and the cell last made.
+    """A configuration, what may be changed of it, and the cell last made; `file` is the one that may be saved to.
 
-    Parameters
-    ----------
-    request : RunRequest
-        Its file need not exist if it has a text.
-    file : Path or None
-        The file that may be saved to.
-    threads : int
-
-    Raises
-    ------
-    SppmError
-        If the configuration can't be read, or makes nothing that can be shown.
+    The file of the request need not exist if that has a text. `SppmError` if the configuration can't be read, or makes
+    nothing that can be shown.
     """
 
     def __init__(self, request: RunRequest, file: Path | None, threads: int) -> None:
@@ -142,26 +132,15 @@ class Design:
         return with_values(self.text, {key: value for key, value in changes.items() if key not in same})
 
     def cell(self, changes: Mapping[str, Any], target: str) -> tuple[dict[str, Any], bytes]:
-        """Run the changed configuration: its text and numbers, and a view file.
-
-        Raises
-        ------
-        SppmError
-            What is wrong with the values.
-        Superseded
-        """
+        """Text, numbers and view file of the changed configuration; `SppmError` or `Superseded` if there is none."""
         with self._turn():
             return self._cell(changes, target)
 
     def numbers(self, changes: Mapping[str, Any], target: str) -> dict[str, Any]:
-        """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none.
-
-        Raises
-        ------
-        SppmError, Superseded
-        """
+        """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none."""
         with self._turn():
             text = self.text_with(changes)
+            # the cell that is shown is most often the one whose numbers are asked for
             if self._last is None or self._last[0] != (text, target):
                 self._cell(changes, target)
             assert self._last is not None
@@ -178,20 +157,8 @@ class Design:
     def save(self, changes: Mapping[str, Any], *, anyway: bool = False) -> str:
         """Write the changed configuration to its file.
 
-        Parameters
-        ----------
-        changes : mapping
-        anyway : bool
-            Whether the file is replaced if it is no longer what was read or saved.
-
-        Raises
-        ------
-        SppmError
-            What is wrong with the values.
-        Changed
-            If it is not.
-        InputError
-            If there is no file.
+        `Changed` if that is no longer what was read or saved, unless it is to be replaced `anyway`; `InputError` if
+        there is no file, `SppmError` if something is wrong with the values.
         """
         if self.file is None:
             raise InputError(
@@ -217,6 +184,7 @@ class Design:
         plan = self._with_text(text).plan()
         group = plan.recipes[target.recipe] if target.recipe else plan.steps
         alone = dataclasses.replace(plan, steps=_needed(group, target.step), plugins=())
+        # what is too large for this machine is refused before it runs
         raise_problems(unfit_problems([estimate_plan(alone)], Path(".")))
         memory = run_in_memory(alone, threads=self.threads)
         made = memory.result(target.step)

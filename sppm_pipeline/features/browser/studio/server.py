@@ -45,13 +45,7 @@ def studio_page(design: Design) -> tuple[str, str]:
 
 
 def server_of(design: Design, port: int = 0) -> LocalServer:
-    """A server of the page for a design.
-
-    Raises
-    ------
-    ResourceError
-        If the port can't be had.
-    """
+    """A server of the page for a design; `ResourceError` if the port can't be had."""
     page, rules = studio_page(design)
 
     class Handler(LocalHandler):
@@ -92,11 +86,9 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
                 self._json(200, {"saved": str(design.file)})
 
         def _changes(self, value: Any) -> dict[str, Any] | None:
-            """The changes of a request; None if it states none, which was answered then.
-
-            No changes at all are an empty object: whatever else comes is a broken request, and the text that the page
-            began with must not replace the file.
-            """
+            """The changes of a request; None if it states none, which was answered then."""
+            # no changes at all are an empty object: whatever else comes is a broken request, and the text that the page
+            # began with must not replace the file
             if isinstance(value, dict):
                 return value
             fault = {"key": "", "stage": "", "hint": "reload the page", "message": "the request states no changes"}
@@ -115,6 +107,7 @@ def server_of(design: Design, port: int = 0) -> LocalServer:
             except SppmError as error:
                 self._refused(error, changes)
             else:
+                # one answer for both: the length of the numbers in four bytes, these, and the view file
                 head = json.dumps(said, allow_nan=False).encode()
                 self.answer(200, "application/octet-stream", struct.pack("<I", len(head)) + head + view)
 

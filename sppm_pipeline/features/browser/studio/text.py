@@ -19,30 +19,16 @@ KEYS = ("stage", "preset", "sppm")
 
 @dataclass(frozen=True)
 class Place:
-    """Place of a value in a text.
+    """Place of a value in a text."""
 
-    Attributes
-    ----------
-    start, end : int
-        Characters.
-    line, column : int
-        Counted from 1, as positions of the engine are.
-    items : tuple of str or None
-        Keys of the items of a list.
-    flow : bool
-        Whether the map around it is written in braces.
-    quoted, indent : bool, int
-        Of the key in front of it: whether it is in quotes, and its column counted from 0.
-    """
-
-    start: int
+    start: int  # characters
     end: int
-    line: int
+    line: int  # counted from 1, as positions of the engine are
     column: int
-    items: tuple[str, ...] | None
-    flow: bool
-    quoted: bool
-    indent: int
+    items: tuple[str, ...] | None  # keys of the items of a list
+    flow: bool  # the map around it is written in braces
+    quoted: bool  # the key in front of it is in quotes
+    indent: int  # column of that key, counted from 0
 
 
 def places(text: str) -> dict[str, Place]:
@@ -80,18 +66,10 @@ def places(text: str) -> dict[str, Place]:
 
 
 def with_values(text: str, values: Mapping[str, Any]) -> str:
-    """The text with other values.
+    """The text with other values (bool, int, float, str, None, or list of them) by their paths.
 
-    Parameters
-    ----------
-    text : str
-    values : mapping of path to bool, int, float, str, None, or list of them
-        A path that is not there yet is written behind the key of its map that is one of `KEYS`.
-
-    Raises
-    ------
-    ConfigError
-        If the place can't be found.
+    A path that is not there yet is written behind the key of its map that is one of `KEYS`; `ConfigError` if there is
+    no place for it.
     """
     known = places(text)
     edits: list[tuple[int, int, str]] = []
@@ -104,6 +82,7 @@ def with_values(text: str, values: Mapping[str, Any]) -> str:
         else:
             edits.append(_replacement(text, place, value))
     edits.reverse()  # of those at one place the last goes in first, so that they stand in their order
+    # from the end of the text, so that earlier places stay where they are
     for start, end, words in sorted(edits, key=lambda edit: edit[:2], reverse=True):
         text = text[:start] + words + text[end:]
     return text
@@ -135,6 +114,7 @@ def _word(value: Any, quoted: bool = False) -> str:
     if isinstance(value, list):
         return f"[{', '.join(_word(item, quoted) for item in value)}]"
     if isinstance(value, str) and not quoted:
+        # without quotes only if the engine reads the same string from it
         plain = value.isascii() and value.replace("_", "").replace(" ", "").replace(".", "").isalnum()
         if plain and value == value.strip() and parse_value(value, Position("", 0, 0)).value == value:
             return value

@@ -14,38 +14,17 @@ LAYERS = 2
 
 
 class Body(NamedTuple):
-    """A body of voxels with an edge of 1, compressed along z.
+    """A body of voxels with an edge of 1, compressed along z."""
 
-    Attributes
-    ----------
-    shape : (nx, ny, nz)
-    voxels : (elements, 3) int32
-        Place x, y, z of each element, z slowest.
-    corners : (elements, 8) int32
-        Their nodes; corner a is on the low side along x, y, z where bit 0, 1, 2 of a is set.
-    nodes : (nodes, 3) int32
-        Reference positions.
-    phases : (elements,) uint8
-        Rows of the table of materials.
-    lanes : (blocks, LANES) int32
-        Which element is where in blocks of one slab and material; -1 for none.
-    slabs : (slabs + 1,) int64
-        Where the blocks of each slab begin.
-    surface : (voxels,) int32
-        Elements with an exposed face.
-    carried : (voxels,) uint8
-        Bits of those of their corners that lie at an exposed face.
-    """
-
-    shape: tuple[int, int, int]
-    voxels: NDArray[np.int32]
-    corners: NDArray[np.int32]
-    nodes: NDArray[np.int32]
-    phases: NDArray[np.uint8]
-    lanes: NDArray[np.int32]
-    slabs: NDArray[np.int64]
-    surface: NDArray[np.int32]
-    carried: NDArray[np.uint8]
+    shape: tuple[int, int, int]  # nx, ny, nz
+    voxels: NDArray[np.int32]  # (elements, 3), place x, y, z of each, z slowest
+    corners: NDArray[np.int32]  # (elements, 8), nodes; a is on the low side along x, y, z where bit 0, 1, 2 of a is set
+    nodes: NDArray[np.int32]  # (nodes, 3), reference positions
+    phases: NDArray[np.uint8]  # (elements,), rows of the table of materials
+    lanes: NDArray[np.int32]  # (blocks, LANES), which element is where in blocks of one slab and material; -1 for none
+    slabs: NDArray[np.int64]  # (slabs + 1,), where the blocks of each slab begin
+    surface: NDArray[np.int32]  # (voxels,), elements with an exposed face
+    carried: NDArray[np.uint8]  # (voxels,), bits of those of their corners that lie at an exposed face
 
     def blocked(self, values: NDArray[Any], empty: Any) -> NDArray[Any]:
         """Values of elements, in blocks."""
@@ -55,19 +34,9 @@ class Body(NamedTuple):
 
 
 def body_of(image: NDArray[np.uint8], *, confined: bool = False) -> Body:
-    """The body of an image.
+    """The body of an image (nz, ny, nx) of phases from 1 on, 0 for void; `ValueError` if all is void.
 
-    Parameters
-    ----------
-    image : (nz, ny, nx) uint8
-        Phase of each voxel from 1 on; 0 for void.
-    confined : bool
-        Whether walls close the sides, so that nothing is exposed there.
-
-    Raises
-    ------
-    ValueError
-        If all is void.
+    With `confined` walls close the sides, so that nothing is exposed there.
     """
     nz, ny, nx = image.shape
     z, y, x = (index.astype(np.int32) for index in np.nonzero(image))

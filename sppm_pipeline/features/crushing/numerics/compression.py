@@ -31,38 +31,21 @@ UNLOADED = (0.7, 0.2)
 
 
 class Steepest(NamedTuple):
-    """The straight line through the steepest window of a curve.
-
-    Attributes
-    ----------
-    slope : float
-    root : float
-        Strain at which the line has no stress.
-    first, last : float
-        Strains that bound the window.
-    """
+    """The straight line through the steepest window of a curve."""
 
     slope: float
-    root: float
-    first: float
+    root: float  # strain at which the line has no stress
+    first: float  # strains that bound the window
     last: float
 
 
 class Loading(NamedTuple):
-    """A curve in steps of 0.1 % strain from zero, without its loops of unloading.
-
-    Attributes
-    ----------
-    strain, stress, work : (n,) float64
-        `work` is the area below the curve up to here.
-    spacing : float
-        Median strain between readings.
-    """
+    """A curve (n,) in steps of 0.1 % strain from zero, without its loops of unloading."""
 
     strain: Array
     stress: Array
-    work: Array
-    spacing: float
+    work: Array  # area below the curve up to here
+    spacing: float  # median strain between readings
 
     @property
     def end(self) -> float:
@@ -92,13 +75,7 @@ def loading_branch(strain: ArrayLike, stress: ArrayLike) -> tuple[Array, Array]:
 
 
 def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
-    """A curve in steps of 0.1 % strain; from no strain to its first reading it rises from no stress.
-
-    Raises
-    ------
-    ValueError
-        If it is shorter than three steps.
-    """
+    """A curve in steps of 0.1 % strain, three or more; from no strain to its first reading it rises from no stress."""
     e, s = loading_branch(strain, stress)
     spacing = float(np.median(np.diff(e))) if len(e) > 1 else 0.0
     if e[0] > 0:
@@ -106,6 +83,7 @@ def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
     steps = int(np.floor(e[-1] / STEP + 1e-9))
     if steps < 3:
         raise ValueError(f"the curve ends at a strain of {e[-1]:.3g}; measures need {3 * STEP:g} or more")
+    # divided, not multiplied by the step: 0.3 becomes the number that 0.3 is written as
     grid = np.arange(steps + 1) / round(1 / STEP)
     on_grid = np.interp(grid, e, s)
     work = np.concatenate([[0.0], np.cumsum((on_grid[1:] + on_grid[:-1]) / 2) * STEP])
@@ -115,8 +93,9 @@ def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
 def first_maximum(curve: Loading, within: float) -> float | None:
     """Strain of the first maximum after which the stress falls by 2 %; None if there is none.
 
-    Maxima below half of the largest stress up to the strain `within` are passed over, as noise before contact and waves
-    after it are full of them: a heuristic. A quarter would let waves through, and all of it hide a first maximum.
+    Maxima below half of the largest stress up to the strain `within` are passed over, as noise before contact and
+    waves after it are full of them: a heuristic. A quarter would let waves through, and all of it hide a first
+    maximum.
     """
     highest = np.maximum.accumulate(curve.stress)
     fallen = (curve.stress <= (1 - FALL) * highest) & (highest >= 0.5 * curve.highest_to(within))
@@ -214,26 +193,12 @@ def densification(curve: Loading, within: float) -> tuple[float, float] | None:
 
 
 def work_ratio(energy: float, stress: float, area: float, displacement: float) -> float:
-    """Energy (J) over force times way: more than 1 is impossible if the force is the largest on that way.
-
-    Parameters
-    ----------
-    energy : float
-        J.
-    stress, area, displacement : float
-        MPa, mm2, mm.
-    """
+    """Energy (J) over stress (MPa) times area (mm2) times way (mm): at most 1 for the largest force on that way."""
     return energy / (stress * area * displacement * 1e-3)
 
 
 def mean_and_spread(curves: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[Array, Array, Array]:
-    """Strains in steps of 0.1 %, mean stress of several specimens and its sample standard deviation, to the shortest.
-
-    Parameters
-    ----------
-    curves : sequence of (strain, stress)
-        Two or more.
-    """
+    """Strains in steps of 0.1 % to the shortest of two or more curves, mean stress and sample standard deviation."""
     each = [loading(*one) for one in curves]
     n = min(len(one.strain) for one in each)
     stresses = np.array([one.stress[:n] for one in each])

@@ -1,8 +1,8 @@
 """Self-contact by split pinballs (Belytschko and Neal 1991; Belytschko and Yeh 1993).
 
-A voxel at the surface carries up to eight balls, at half of the way from its center to its corners, next to its exposed
-faces. Balls of voxels that are no neighbors repel each other when they overlap. The repulsion has a potential; normal
-damping and Coulomb friction don't. As balls are carried by the shape functions, forces on them become forces on
+A voxel at the surface carries up to eight balls, at half of the way from its center to its corners, next to its
+exposed faces. Balls of voxels that are no neighbors repel each other when they overlap. The repulsion has a potential;
+normal damping and Coulomb friction don't. As balls are carried by the shape functions, forces on them become forces on
 corners by the same weights.
 """
 
@@ -61,19 +61,7 @@ def place(
     x: NDArray[Any], v: NDArray[Any], dt: float, corners: NDArray[Any], active: NDArray[Any], first: int, last: int,
     balls: NDArray[Any],
 ) -> None:  # fmt: skip
-    """Positions of the balls of active voxels a time `dt` ago.
-
-    Parameters
-    ----------
-    x, v : (nodes, 3) float64
-    dt : float
-    corners : (voxels, 8) uint32
-    active : (n,) int32
-        Voxels whose balls are placed, of which `first` to `last` are taken.
-    first, last : int
-    balls : (voxels, 8, 3) float64
-        Written.
-    """
+    """Write positions (voxels, 8, 3) of the balls of voxels `first` to `last` of `active`, a time `dt` ago."""
     for at in range(first, last):
         voxel = active[at]
         for a in range(8):
@@ -88,26 +76,12 @@ def sort_voxels(
     centers: NDArray[Any], radii: NDArray[Any], places: NDArray[Any], origin: NDArray[Any], width: float,
     shape: NDArray[Any], starts: NDArray[Any], names: NDArray[Any], points: NDArray[Any], homes: NDArray[Any],
 ) -> None:  # fmt: skip
-    """Sort voxels into the cells of a grid.
+    """Sort voxels into the cells, of this width, of a grid; `shape` counts its cells, and voxels beyond count to those
+    at its border.
 
-    Parameters
-    ----------
-    centers : (voxels, 3) float64
-    radii : (voxels,) float64
-        Of a voxel, to the farthest of its balls.
-    places : (voxels, 3) int32
-        In the undeformed body.
-    origin : (3,) float64
-    width : float
-        Of the cells.
-    shape : (3,) int64
-        Cells of the grid; voxels beyond count to those at its border.
-    starts : (cells + 2,) int32
-        Zeros; where the voxels of each cell begin is written.
-    names : (voxels,) int32
-    points : (voxels, 4) float64
-    homes : (voxels, 3) int32
-        Written: numbers, centers with radii, and places in the order of the cells.
+    `centers` (voxels, 3), `radii` (voxels,) to the farthest ball of each, `places` (voxels, 3) in the undeformed body.
+    Written are `starts` (cells + 2,), zeros at first, where the voxels of each cell begin, and in the order of the
+    cells `names` (voxels,), `points` (voxels, 4), centers with radii, and `homes` (voxels, 3), their places.
     """
     nx, ny, nz = shape
     cells = np.empty(len(centers), np.int32)
@@ -117,6 +91,7 @@ def sort_voxels(
         k = min(max(int((centers[voxel, 2] - origin[2]) / width), 0), nz - 1)
         cells[voxel] = i + nx * (j + ny * k)
         starts[cells[voxel] + 2] += 1
+    # counting sort: starts are two ahead of counts, so that filling the cells leaves them where the cells begin
     for cell in range(1, len(starts)):
         starts[cell] += starts[cell - 1]
     for voxel in range(len(centers)):
@@ -134,24 +109,13 @@ def search(
     starts: NDArray[Any], names: NDArray[Any], points: NDArray[Any], homes: NDArray[Any], shape: NDArray[Any],
     first: int, last: int, balls: NDArray[Any], carried: NDArray[Any], pairs: NDArray[Any],
 ) -> int:  # fmt: skip
-    """List the pairs of balls within reach whose voxels are no neighbors, for some layers of cells.
+    """List the pairs of balls within reach whose voxels are no neighbors, for the layers `first` to `last` of cells;
+    returns their number, of which more than fit into `pairs` were not written.
 
-    Parameters
-    ----------
-    starts, names, points, homes, shape
-        See `sort_voxels`; cells must be as wide as the largest distance of two voxels with balls within reach.
-    first, last : int
-        Layers of cells; a pair belongs to the lower of its two.
-    balls : (voxels, 8, 3) float64
-    carried : (voxels,) uint8
-        Bits of the corners that have a ball.
-    pairs : (room, 2) int32
-        Written: eight times the voxel and the corner, in an order that the positions determine.
-
-    Returns
-    -------
-    int
-        Number of pairs; more than fit were not written.
+    Arrays are those of `sort_voxels`; cells must be as wide as the largest distance of two voxels with balls within
+    reach. A pair belongs to the lower of its two layers. `balls` (voxels, 8, 3), `carried` (voxels,) bits of the
+    corners that have a ball; `pairs` (room, 2) receive eight times the voxel and the corner, in an order that the
+    positions determine.
     """
     nx, ny, nz = shape
     found = 0
@@ -200,16 +164,7 @@ def search(
 
 @jit
 def list_partners(pairs: NDArray[Any], starts: NDArray[Any], partners: NDArray[Any]) -> None:
-    """The partners of each ball, from pairs of balls.
-
-    Parameters
-    ----------
-    pairs : (n, 2) int32
-    starts : (balls + 1,) int32
-        Written: where the partners of each ball begin.
-    partners : (2 n,) int32
-        Written.
-    """
+    """The partners of each ball, from pairs (n, 2): where they begin, (balls + 1,), and they themselves, (2 n,)."""
     starts[:] = 0
     for pair in range(len(pairs)):
         starts[pairs[pair, 0] + 1] += 1
@@ -231,30 +186,14 @@ def repel(
     starts: NDArray[Any], partners: NDArray[Any], stiffness: NDArray[Any], mass: NDArray[Any], friction: float,
     dt: float, lossy: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any], sums: NDArray[Any],
 ) -> None:  # fmt: skip
-    """Forces of contact on the corners of active voxels.
+    """Forces of contact on the corners of the chunks `first` to `last` of `active` voxels, with balls that have
+    partners.
 
-    Parameters
-    ----------
-    balls, before, earlier : (voxels, 8, 3) float64
-        Now, one step ago and two steps ago.
-    active : (n,) int32
-        Voxels with balls that have partners, of which the chunks `first` to `last` are taken.
-    first, last : int
-    starts, partners : int32
-        See `list_partners`.
-    stiffness, mass : (voxels,) float64
-        Of a contact and of a voxel, by its material.
-    friction, dt : float
-        Coefficient of friction, length of the step.
-    lossy : (voxels, 8, 3) float64
-        Damping and friction on each ball one step ago; replaced by those of now.
-    pushed : (voxels,) uint8
-        Written: whether anything touches.
-    push : (voxels, 8, 3) float64
-        Written where anything touches.
-    sums : (chunks, SUMS) float64
-        The energy stored in contacts is set; what the forces of one step ago have lost is added, by the mean velocity
-        before and after them.
+    `balls`, `before` and `earlier` (voxels, 8, 3) are now, one step ago and two steps ago; `stiffness` and `mass`
+    (voxels,) those of a contact and of a voxel, by its material. `lossy` (voxels, 8, 3) is damping and friction on
+    each ball one step ago, and is replaced by those of now. Written are `pushed` (voxels,), whether anything touches,
+    and where it does `push` (voxels, 8, 3). Of `sums` (chunks, SUMS) the energy stored in contacts is set; what the
+    forces of one step ago have lost is added, by the mean velocity before and after them.
     """
     for chunk in range(first, last):
         stored, lost = 0.0, 0.0
@@ -277,7 +216,9 @@ def repel(
                     distance = np.sqrt(square) + 1e-12
                     overlap = 1 - distance / DIAMETER
                     k = min(stiffness[p], stiffness[q])
+                    # the reduced mass of two that are as light as the lighter one
                     m = 0.5 * min(mass[p], mass[q])
+                    # derivative of the energy stored, of which each of the two balls counts half
                     spring = k * DIAMETER * (overlap + HARDENING * overlap**3)
                     stored += 0.5 * k * DIAMETER**2 * (0.5 * overlap**2 + 0.25 * HARDENING * overlap**4)
                     dx, dy, dz = dx / distance, dy / distance, dz / distance
@@ -287,6 +228,7 @@ def repel(
                     vn = vx * dx + vy * dy + vz * dz
                     vx, vy, vz = vx - vn * dx, vy - vn * dy, vz - vn * dz
                     slip = np.sqrt(vx * vx + vy * vy + vz * vz) + 1e-30
+                    # no more than the spring: contacts never pull
                     damper = min(max(-2 * DAMPING * np.sqrt(k * m) * vn, -spring), spring)
                     drag = min(friction * spring, DRAG * m * slip / dt) / slip
                     fx, fy, fz = fx + spring * dx, fy + spring * dy, fz + spring * dz

@@ -13,26 +13,14 @@ Array = NDArray[np.float64]
 
 
 class Blank(NamedTuple):
-    """Deflection of a machine without a specimen.
-
-    Attributes
-    ----------
-    force, displacement : (n,) float64
-        Neither ever falls; displacement is 0 at the smallest force.
-    """
+    """Deflection (n,) of a machine without a specimen over force (n,); neither ever falls, 0 at the smallest force."""
 
     force: Array
     displacement: Array
 
 
 def blank_run(force: ArrayLike, displacement: ArrayLike) -> Blank:
-    """The monotone curve of least squares through a run without a specimen, loading and unloading taken together.
-
-    Raises
-    ------
-    ValueError
-        If it has fewer than two forces.
-    """
+    """Monotone curve of least squares through a run without a specimen, loading and unloading taken together."""
     from scipy.optimize import isotonic_regression
 
     f, d = np.asarray(force, np.float64), np.asarray(displacement, np.float64)
@@ -40,18 +28,13 @@ def blank_run(force: ArrayLike, displacement: ArrayLike) -> Blank:
     if len(known) < 2:
         raise ValueError("a run without a specimen needs two or more different forces")
     count = np.bincount(of)
+    # isotonic: loading and unloading differ, and readings scatter, but no larger force deflects the machine less
     fitted: Array = isotonic_regression(np.bincount(of, d) / count, weights=count).x
     return Blank(known, fitted - fitted[0])
 
 
 def without_blank(force: ArrayLike, displacement: ArrayLike, blank: Blank) -> Array:
-    """Displacement of the specimen alone.
-
-    Raises
-    ------
-    ValueError
-        If the test goes to larger forces than the run without a specimen.
-    """
+    """Displacement of the specimen alone; `ValueError` if its forces exceed those of the run without a specimen."""
     f = np.asarray(force, np.float64)
     if f.max() > blank.force[-1]:
         raise ValueError(
@@ -61,13 +44,7 @@ def without_blank(force: ArrayLike, displacement: ArrayLike, blank: Blank) -> Ar
 
 
 def after_preload(force: ArrayLike, displacement: ArrayLike, preload: float) -> tuple[Array, Array]:
-    """Readings from the first force of `preload` on, whose displacement becomes zero.
-
-    Raises
-    ------
-    ValueError
-        If the force never gets there.
-    """
+    """Readings from the first force of `preload` on, where displacement becomes zero; `ValueError` without any."""
     f, d = np.asarray(force, np.float64), np.asarray(displacement, np.float64)
     reached = np.flatnonzero(f >= preload)
     if not len(reached):
@@ -77,22 +54,11 @@ def after_preload(force: ArrayLike, displacement: ArrayLike, preload: float) -> 
 
 
 def without_toe(strain: ArrayLike, stress: ArrayLike, within: float = 0.2) -> tuple[Array, Array, Steepest]:
-    """A curve whose strain is zero where the line through its steepest window has no stress.
+    """A curve whose strain is zero where the line through its steepest window has no stress, from there on, and that
+    line before the shift; `ValueError` if the stress does not rise up to the strain `within`.
 
     The readings before the window, where specimen and plates settle, are replaced by that line (annex of ASTM D695,
     ASTM D1621, ISO 844). The window is looked for before the first maximum, or up to the strain `within`.
-
-    Returns
-    -------
-    strain, stress : (n,) float64
-        From the zero of both on.
-    line : Steepest
-        Before the shift.
-
-    Raises
-    ------
-    ValueError
-        If the stress does not rise there.
     """
     e, s = np.asarray(strain, np.float64), np.asarray(stress, np.float64)
     curve = loading(e, s)
@@ -105,11 +71,9 @@ def without_toe(strain: ArrayLike, stress: ArrayLike, within: float = 0.2) -> tu
 
 
 def turned(load: ArrayLike, way: ArrayLike) -> tuple[Array, Array, tuple[bool, bool]]:
-    """Load and way with signs such that compression is positive, and which of them were negative.
-
-    The load is positive where it is largest, and the way has grown by then.
-    """
+    """Load and way with signs such that compression is positive, and which of them were negative."""
     f, d = np.asarray(load, np.float64), np.asarray(way, np.float64)
+    # the load is positive where it is largest, and the way has grown by then
     peak = int(np.argmax(np.abs(f)))
     negative = bool(f[peak] < 0), bool(d[peak] < d[0])
     return -f if negative[0] else f, -d if negative[1] else d, negative

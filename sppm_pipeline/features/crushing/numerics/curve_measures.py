@@ -28,52 +28,24 @@ _LI = "Li et al. 2006"
 
 
 class Measure(NamedTuple):
-    """A number of a curve.
-
-    Attributes
-    ----------
-    name : str
-        As columns of sweeps call it.
-    label : str
-        As people call it.
-    value : float or None
-        None if the curve has no such number; `remark` says why.
-    unit : str
-        Empty for shares, strains among them, and for what is relative to Young's modulus of the solid.
-    definition : str
-    source : str
-        Where the definition is from; empty for our own.
-    remark : str
-    """
+    """A number of a curve, in the words that sweeps (`name`) and people (`label`) call it by."""
 
     name: str
     label: str
-    value: float | None
-    unit: str
+    value: float | None  # None if the curve has no such number; `remark` says why
+    unit: str  # empty for shares, strains among them, and for what is relative to Young's modulus of the solid
     definition: str
-    source: str
+    source: str  # where the definition is from; empty for our own
     remark: str
 
 
 class Specimen(NamedTuple):
-    """The compressed specimen.
+    """The compressed specimen, undeformed, and why its curve ends before it was to (`ended`, empty if it does not)."""
 
-    Attributes
-    ----------
-    unit : {"MPa", "GPa", "relative"}
-        Of stresses.
-    area, height : float or None
-        Of the undeformed specimen, mm2 and mm.
-    density : float or None
-        Pores included, g/cm3.
-    ended : str
-        Why its curve ends before it was to; empty if it does not.
-    """
-
-    unit: str = "MPa"
-    area: float | None = None
-    height: float | None = None
-    density: float | None = None
+    unit: str = "MPa"  # of stresses; or GPa or relative
+    area: float | None = None  # mm2
+    height: float | None = None  # mm
+    density: float | None = None  # pores included, g/cm3
     ended: str = ""
 
     @property
@@ -88,14 +60,7 @@ class Specimen(NamedTuple):
 
 
 class Table:
-    """Measures that are added one by one.
-
-    Parameters
-    ----------
-    curve : Loading
-    ended : str
-        Why it ends where it does.
-    """
+    """Measures of a curve that are added one by one; `ended` says why it ends where it does."""
 
     def __init__(self, curve: Loading, ended: str = "") -> None:
         self.curve = curve
@@ -121,22 +86,10 @@ def measures(
     plateau: tuple[float, float] = (0.2, 0.4),
     energy_to: float = 0.5,
 ) -> list[Measure]:
-    """All measures of a curve.
+    """All measures of a curve (n,), nominal, positive in compression, in the order of the test.
 
-    Parameters
-    ----------
-    strain, stress : (n,) float
-        Nominal, positive in compression, in the order of the test.
-    specimen : Specimen
-    plateau : (from, to)
-        Strains between which the plateau stress is taken.
-    energy_to : float
-        Strain up to which energy is taken.
-
-    Raises
-    ------
-    ValueError
-        If the curve is shorter than 0.3 % strain, or its stress is nowhere positive.
+    `plateau` are strains between which the plateau stress is taken, `energy_to` the one up to which energy is.
+    `ValueError` if the curve is shorter than 0.3 % strain, or its stress is nowhere positive.
     """
     curve = compression.loading(strain, stress)
     if not curve.stress.max() > 0:

@@ -102,6 +102,7 @@ def _push(s: NDArray[Any], mu: Any) -> None:
     for e in range(_LANES):
         limit = s[e + _R[YIELD]]
         strain = np.sqrt((2 / 3) * max(s[e + _R[70]], 0.0))
+        # secant stiffness: what the accumulated plastic strain leaves, and no more stress than the yield stress
         share = min(limit / (limit + 3 * mu * s[e + _R[ALPHA]]), limit / (3 * mu * strain + 1e-30))
         s[e + _R[57]] = 0.5 * (share + s[e + _R[41]]) * (s[e + _R[56]] - s[e + _R[40]])
         s[e + _R[40]], s[e + _R[41]] = s[e + _R[56]], share
@@ -132,52 +133,19 @@ def _push(s: NDArray[Any], mu: Any) -> None:
 
 @jit
 def forces(
-    x: NDArray[Any],
-    corners: NDArray[Any],
-    phases: NDArray[Any],
-    slabs: NDArray[Any],
-    first: int,
-    last: int,
-    table: NDArray[Any],
-    state: NDArray[Any],
-    surface: NDArray[Any],
-    pushed: NDArray[Any],
-    push: NDArray[Any],
-    s: NDArray[Any],
-    f: NDArray[Any],
-    sums: NDArray[Any],
-) -> None:
+    x: NDArray[Any], corners: NDArray[Any], phases: NDArray[Any], slabs: NDArray[Any], first: int, last: int,
+    table: NDArray[Any], state: NDArray[Any], surface: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any],
+    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any],
+) -> None:  # fmt: skip
     """Add the forces of every second slab of elements to those of the nodes, and advance the elements' state.
 
-    Slabs of the same parity share no nodes, so that threads may work on them at once, and sums don't depend on which
-    thread does what.
-
-    Parameters
-    ----------
-    x : (nodes, 3) float64
-    corners : (blocks, LANES, 8) int32
-        Nodes of the elements; -1 where a block has none.
-    phases : (blocks,) int32
-        Rows of `table`.
-    slabs : (slabs + 1,) int64
-        Where the blocks of each slab begin.
-    first, last : int
-        Slabs first, first + 2, ... below last.
-    table : see `material.constants`
-    state : (blocks, STATE, LANES) float64
-        Advanced in place.
-    surface : (blocks, LANES) int32
-        Number of a voxel among those at the surface, or -1.
-    pushed : (surface voxels,) uint8
-        Which of them are in contact.
-    push : (surface voxels, 8, 3) float64
-        Forces of contact on their corners.
-    s : (ROWS * LANES,) float64
-        Scratch.
-    f : (nodes, 3) float64
-        Added to.
-    sums : (slabs, SUMS) float64
-        The energies stored are set; what was dissipated, and the work of bending, are added to.
+    Slabs first, first + 2, ... below last: those of the same parity share no nodes, so that threads may work on them
+    at once, and sums don't depend on which thread does what. `x` and `f` are (nodes, 3), `corners` (blocks, LANES, 8)
+    nodes of the elements, -1 where a block has none, `phases` (blocks,) rows of `table` (`material.constants`),
+    `slabs` (slabs + 1,) where the blocks of each begin. `state` (blocks, STATE, LANES) is advanced in place. `surface`
+    (blocks, LANES) numbers voxels at the surface, or is -1; of these `pushed` says which are in contact, and `push`
+    (voxels, 8, 3) has the forces on their corners. `s` (ROWS * LANES,) is scratch. Of `sums` (slabs, SUMS) the
+    energies stored are set; what was dissipated, and the work of bending, are added to.
     """
     for slab in range(first, last, 2):
         stored, bent, dissipated, bending = 0.0, 0.0, 0.0, 0.0

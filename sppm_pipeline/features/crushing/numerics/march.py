@@ -40,7 +40,8 @@ POINTS = 600
 
 MISSING = 0.01
 """Before a failure, records count up to the last one at which the fraction of work that is missing from the balance of
-energy changed by no more than this: a heuristic. Failing elements add energy faster by orders of magnitude."""
+energy changed by no more than this: a heuristic, not measured. It is half of what a run may miss in all before a
+warning, and there are up to 800 records."""
 
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 
@@ -58,63 +59,32 @@ class Failed(ArithmeticError):
 
 
 class Load(NamedTuple):
-    """Load on a body.
+    """Load on a body."""
 
-    Attributes
-    ----------
-    strain : float
-        Of the whole height, at the end.
-    rate : float
-        Speed of the upper plate over that of waves in a bar of the first material.
-    plates : float
-        Coefficient of friction of the plates; negative if the body sticks to them.
-    confined : bool
-        Whether rollers hold the sides.
-    friction : float
-        Coefficient of friction where the body touches itself.
-    """
-
-    strain: float = 0.6
-    rate: float = 0.01
-    plates: float = 0.0
-    confined: bool = False
-    friction: float = 0.2
+    strain: float = 0.6  # of the whole height, at the end
+    rate: float = 0.01  # speed of the upper plate over that of waves in a bar of the first material
+    plates: float = 0.0  # coefficient of friction of the plates; negative if the body sticks to them
+    confined: bool = False  # rollers hold the sides
+    friction: float = 0.2  # coefficient of friction where the body touches itself
 
 
 class History(NamedTuple):
-    """Records of a run, in units of voxel edges and of the first material.
+    """Records (n,) of a run, in units of voxel edges and of the first material.
 
-    Attributes
-    ----------
-    strain : (n,) float64
-    top, bottom : (n,) float64
-        Forces of the plates, means over the time between records.
-    work : (n,) float64
-        Of the upper plate.
-    energies : mapping of the names in `ENERGIES` to (n,) float64
-        Of the elements, stored in their mean strain, stored in bending and dissipated; of contacts, stored and lost;
-        kinetic; lost to damping and at the plates; given to the body by mass that was added.
+    Energies, by the names in `ENERGIES`: of the elements, stored in their mean strain, stored in bending and
+    dissipated; of contacts, stored and lost; kinetic; lost to damping and at the plates; given to the body by mass
+    that was added.
     """
 
     strain: NDArray[np.float64]
-    top: NDArray[np.float64]
+    top: NDArray[np.float64]  # forces of the plates, means over the time between records
     bottom: NDArray[np.float64]
-    work: NDArray[np.float64]
+    work: NDArray[np.float64]  # of the upper plate
     energies: Mapping[str, NDArray[np.float64]]
 
 
 class March:
-    """A body on its way; `to` moves it on.
-
-    Parameters
-    ----------
-    body : Body
-    materials : tuple of Material
-        Of each phase.
-    load : Load
-    threads : int
-        The result does not depend on it.
-    """
+    """A body on its way, with a material of each phase; `to` moves it on. The result does not depend on the threads."""
 
     def __init__(self, body: Body, materials: tuple[Material, ...], load: Load, threads: int = 1) -> None:
         self.body, self.load = body, load
@@ -299,11 +269,8 @@ class March:
     def to(self, strain: float, report: Callable[[float], None] = lambda strain: None) -> None:
         """Move on to a strain; `report` is called with it after each record.
 
-        Raises
-        ------
-        Failed
-            If elements invert or forces diverge. What was recorded up to its strain holds: there, the energies still
-            add up.
+        `Failed` if elements invert or forces diverge. What was recorded up to its strain holds: there, the energies
+        still add up.
         """
         end = min(self.steps, int(np.searchsorted(self._strains, strain - 1e-9)))
         while self.step < end:
@@ -320,12 +287,9 @@ class March:
                 report(self.strain)
 
     def kept(self) -> dict[str, NDArray[np.float64]]:
-        """All that another march of the same body needs to go on from here by `resume`, with the same result.
-
-        Contacts are searched again, here and there, so that a march in which this is called differs in rounding from
-        one in which it is not.
-        """
+        """All that another march of the same body needs to go on from here by `resume`, with the same result."""
         self.relist()
+        # contacts were searched again, as `resume` does: this changes the rounding of the march
         kept = {name: np.array(getattr(self, "_" + name)) for name in _ARRAYS}
         scalars = (self.step, self._work, self._from_mass, self._contact.lost, self._recorded, self._given)
         return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "rows": np.array(self._rows)}
@@ -342,10 +306,8 @@ class March:
         self._rows = kept["rows"].tolist()
 
     def history(self) -> History:
-        """The body at rest, all records, and the end, to which the forces go on as between the last records.
-
-        Forces of a record are those of the impulse since the one before, its energies the means of both.
-        """
+        """The body at rest, all records, and the end, to which the forces go on as between the last records."""
+        # forces of a record are those of the impulse since the one before, its energies the means of both
         rows = np.array(self._rows)
         rest = np.zeros(rows.shape[1])
         rest[5 + ENERGIES.index("kinetic")] = self._given

@@ -37,14 +37,7 @@ _ROOT = (2 / 3) ** 0.5
 
 
 class Material(NamedTuple):
-    """An isotropic material.
-
-    Attributes
-    ----------
-    young, poisson : float
-    yield_stress : tuple of (equivalent plastic strain, stress)
-        Rising in strain, the first at 0; linear between, constant beyond. Empty for a hyperelastic material.
-    """
+    """An isotropic material; its yield stress is linear between plastic strains, constant beyond, empty if elastic."""
 
     young: float
     poisson: float
@@ -64,13 +57,10 @@ class Material(NamedTuple):
 
 
 def constants(materials: tuple[Material, ...]) -> NDArray[np.float64]:
-    """Constants of each material for the kernels, in units of the first one's Young's modulus.
+    """Constants of each material for the kernels (phases, 5 + 2 n), in units of the first one's Young's modulus.
 
-    Returns
-    -------
-    (phases, 5 + 2 n) float64
-        λ, μ, bulk modulus, yield stress before any strain, number of kinks, then the strain at each kink of the
-        hardening curve and by how much its slope rises there.
+    λ, μ, bulk modulus, yield stress before any strain, number of kinks, then the strain at each kink of the hardening
+    curve and by how much its slope rises there.
     """
     kinks = max(1, *(len(m.yield_stress) for m in materials))
     table = np.zeros((len(materials), 5 + 2 * kinks))
@@ -90,14 +80,9 @@ def constants(materials: tuple[Material, ...]) -> NDArray[np.float64]:
 def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
     """First Piola-Kirchhoff stress of a block of elements, whose plastic state is advanced.
 
-    Parameters
-    ----------
-    s : flat float64
-        Scratch; deformation gradient and state are read, stress, state, and energies are written: the energy stored
-        and what was dissipated by this step, both per reference volume; also the largest stiffness of the element.
-    table : see `constants`
-    phase : int
-        Row of the table.
+    Of the scratch `s` deformation gradient and state are read; stress, state, and energies are written: the energy
+    stored and what was dissipated by this step, both per reference volume; also the largest stiffness of the element.
+    `phase` is a row of the table of `constants`.
     """
     mu, bulk, first = table[phase, 1], table[phase, 2], table[phase, 3]
     wave = table[phase, 0] + 2 * mu

@@ -28,38 +28,18 @@ SUMS = 6
 
 @jit
 def move(
-    x: NDArray[Any],
-    v: NDArray[Any],
-    f: NDArray[Any],
-    mass: NDArray[Any],
-    own: NDArray[Any],
-    held: NDArray[Any],
-    listed: NDArray[Any],
-    first: int,
-    last: int,
-    step: NDArray[Any],
-    sums: NDArray[Any],
-) -> None:
-    """One step of leapfrog for some chunks of nodes; forces are reset to 0.
+    x: NDArray[Any], v: NDArray[Any], f: NDArray[Any], mass: NDArray[Any], own: NDArray[Any], held: NDArray[Any],
+    listed: NDArray[Any], first: int, last: int, step: NDArray[Any], sums: NDArray[Any],
+) -> None:  # fmt: skip
+    """One step of leapfrog for the chunks `first` to `last` of nodes; forces are reset to 0.
 
-    Parameters
-    ----------
-    x, v, f : (nodes, 3) float64
-        Positions, velocities half a step before, forces.
-    mass, own : (nodes,) float64
-        With and without what was added; damping is proportional to the latter.
-    held : (nodes,) uint8
-    listed : (nodes, 3) float64
-        Positions when contacts were last searched.
-    first, last : int
-        Chunks.
-    step : (10,) float64
-        Length of the step; height of the body before and after it; speed of the upper plate; the damping rate times
-        the length of the step; friction of the plates, negative if they stick; height when contacts were last
-        searched; widths along x and y of a container, 0 for none; by how much
-        the plate moves faster than in the step before, which sets the whole body in motion uniformly.
-    sums : (chunks, SUMS) float64
-        Added to, but for the kinetic energy and the distance, which are set.
+    `x`, `v`, `f` (nodes, 3) are positions, velocities half a step before, forces; `mass` and `own` (nodes,) with and
+    without what was added, as damping is proportional to the latter; `listed` (nodes, 3) positions when contacts were
+    last searched. `sums` (chunks, SUMS) are added to, but for the kinetic energy and the distance, which are set.
+    `step` (10,): length of the step; height of the body before and after it; speed of the upper plate; the damping
+    rate times the length of the step; friction of the plates, negative if they stick; height when contacts were last
+    searched; widths along x and y of a container, 0 for none; by how much the plate moves faster than in the step
+    before, which sets the whole body in motion uniformly.
     """
     dt, height, lower, speed, damping, friction, before, wide_x, wide_y, faster = step
     often, shrink, stretch, kick = 1 / dt, speed / height, lower / before, faster / height
@@ -96,6 +76,7 @@ def move(
                 if friction < 0:
                     px, py = 0.0, 0.0
                 elif slip > 0:
+                    # Coulomb: the impulse is at most `friction` times that of the plate, and never reverses the node
                     stays = max(0.0, 1 - friction * push / slip)
                     px, py = stays * px, stays * py
             ax, ay, az = vx + px, vy + py, vz + pz

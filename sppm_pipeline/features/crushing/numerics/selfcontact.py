@@ -17,25 +17,8 @@ Share = Callable[[int, Callable[[int, int], None]], None]
 class SelfContact:
     """The balls of a body's surface, the pairs of them that are near each other, and their forces.
 
-    Parameters
-    ----------
-    body : Body
-    stiffness : (phases,) float64
-        Of contacts on voxels of each phase.
-    mass : (phases,) float64
-        Of voxels.
-    friction : float
-        Coefficient.
-    dt : float
-        Step of time.
-    share : callable
-
-    Attributes
-    ----------
-    pushed : (voxels,) uint8
-        Which voxels at the surface are in contact.
-    push : (voxels, 8, 3) float64
-        Forces on their corners.
+    `stiffness` of contacts and `mass` of voxels are those of each phase. `pushed` (voxels,) says which voxels at the
+    surface are in contact, `push` (voxels, 8, 3) has the forces on their corners.
     """
 
     def __init__(
@@ -73,13 +56,7 @@ class SelfContact:
         self._sums[:, 1] = 0
 
     def search(self, x: NDArray[np.float64], v: NDArray[np.float64]) -> None:
-        """Search the pairs that may come to touch, and what touches now.
-
-        Parameters
-        ----------
-        x, v : (nodes, 3) float64
-            Positions and velocities.
-        """
+        """Search the pairs that may come to touch, and what touches now, at positions and velocities (nodes, 3)."""
         self._was_lost = self.lost
         now, before, _ = self._balls
         self._place(x, v, now, self._all, 0.0)
@@ -99,6 +76,7 @@ class SelfContact:
             room = 1 + self._room * (last - first)
             while True:
                 pairs = np.empty((room, 2), np.int32)
+                # how many pairs there are is known only afterwards: a second search has room for all
                 count = contact.search(starts, names, points, homes, shape, first, last, now, self._body.carried, pairs)
                 if count <= room:
                     found[first] = pairs[:count]
@@ -113,6 +91,7 @@ class SelfContact:
         self._active = np.flatnonzero(np.diff(self._starts[::8])).astype(np.int32)
         self._sums = np.zeros((-(-len(self._active) // contact.CHUNK), contact.SUMS))
         self._place(x, v, before, self._active, self._dt)
+        # losses need the balls two steps ago, which are not known of new pairs: the first step loses nothing
         self._lossy[:] = 0
         self.pushed[:] = 0
         self._repel()

@@ -101,13 +101,7 @@ def check_plateau(plateau: tuple[float, float]) -> None:
 
 
 def measured(curve: CompressionCurve, plateau: tuple[float, float], energy_to: float) -> list[Measure]:
-    """All measures of a curve.
-
-    Raises
-    ------
-    DesignError
-        If it is no curve of compression.
-    """
+    """All measures of a curve; `DesignError` if it is no curve of compression."""
     specimen = Specimen(curve.unit, curve.area, curve.height, curve.density, curve.ended)
     try:
         return measures(curve.strain, curve.stress, specimen, plateau=plateau, energy_to=energy_to)

@@ -1,8 +1,8 @@
 """Sound in the pores of a rigid material as an equivalent fluid, after Johnson, Champoux, Allard, Pride and Lafarge.
 
-Eight numbers of the pores, all static, give density and bulk modulus of the fluid at any frequency: Johnson et al. 1987
-and Champoux and Allard 1991 for short waves, Lafarge et al. 1997 and Pride et al. 1993 for long ones; as collected by
-Allard and Atalla, "Propagation of Sound in Porous Media", 2009, ch. 5. Time goes as ``exp(j omega t)``.
+Eight numbers of the pores, all static, give density and bulk modulus of the fluid at any frequency: Johnson et al.
+1987 and Champoux and Allard 1991 for short waves, Lafarge et al. 1997 and Pride et al. 1993 for long ones; as
+collected by Allard and Atalla, "Propagation of Sound in Porous Media", 2009, ch. 5. Time goes as ``exp(j omega t)``.
 """
 
 from __future__ import annotations
@@ -14,30 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class Gas(NamedTuple):
-    """Gas in the pores.
+    """Gas in the pores."""
 
-    Attributes
-    ----------
-    density : float
-        kg / m^3.
-    viscosity : float
-        Pa s.
-    conductivity : float
-        Of heat, W / (m K).
-    heat_capacity : float
-        At constant pressure, J / (kg K).
-    heat_ratio : float
-        That over the one at constant volume.
-    pressure : float
-        Pa.
-    """
-
-    density: float
-    viscosity: float
-    conductivity: float
-    heat_capacity: float
-    heat_ratio: float
-    pressure: float
+    density: float  # kg / m^3
+    viscosity: float  # Pa s
+    conductivity: float  # of heat, W / (m K)
+    heat_capacity: float  # at constant pressure, J / (kg K)
+    heat_ratio: float  # that over the one at constant volume
+    pressure: float  # Pa
 
     @property
     def impedance(self) -> float:
@@ -82,21 +66,15 @@ class PoreParameters(NamedTuple):
 def equivalent_fluid(
     pores: PoreParameters, gas: Gas, frequency: ArrayLike
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Density (kg / m^3) and bulk modulus (Pa) of the fluid that takes the place of material and gas.
-
-    Parameters
-    ----------
-    pores : PoreParameters
-    gas : Gas
-    frequency : (n,)
-        Hz, positive.
-    """
+    """Density (kg / m^3) and bulk modulus (Pa) of the fluid for material and gas, at frequencies (n,) > 0 in Hz."""
     omega = 2 * np.pi * np.asarray(frequency, np.float64)
     phi, turns = pores.porosity, pores.tortuosity
+    # viscous losses act on the density: dimensionless frequency w and shape factor M, with the viscous length Lambda
     w = omega * gas.density * pores.permeability * turns / (gas.viscosity * phi)
     m = 8 * turns * pores.permeability / (phi * pores.viscous_length**2)
     f = _relaxation(w, m, pores.viscous_tortuosity / turns)
     density = gas.density / phi * turns * (1 + f / (1j * w))
+    # heat conduction acts on the compressibility: the same with thermal permeability and Lambda'
     w = omega * gas.density * gas.heat_capacity * pores.thermal_permeability / (gas.conductivity * phi)
     m = 8 * pores.thermal_permeability / (phi * pores.thermal_length**2)
     f = _relaxation(w, m, pores.thermal_tortuosity)
@@ -108,6 +86,7 @@ def _relaxation(w: NDArray[np.float64], m: float, ratio: float) -> NDArray[Any]:
     """The function F of Pride's model; `ratio` is that of the static tortuosity over the one of short waves."""
     if ratio <= 1:
         raise ValueError(f"the static tortuosity is larger than that of short waves, got {ratio} times as large")
+    # Pride's parameter: chosen so that the limit of low frequencies has the static tortuosity
     p = m / (4 * (ratio - 1))
     return np.asarray(1 - p + p * np.sqrt(1 + 1j * w * m / (2 * p * p)))
 
@@ -115,28 +94,15 @@ def _relaxation(w: NDArray[np.float64], m: float, ratio: float) -> NDArray[Any]:
 def absorption(
     density: NDArray[np.complex128], modulus: NDArray[np.complex128], thickness: float, frequency: ArrayLike, gas: Gas
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Absorption of plane waves at normal incidence by a layer on a rigid wall, and the impedance of its surface.
+    """Absorption (n,), the share of the incoming energy that does not come back, of plane waves at normal incidence by
+    a layer on a rigid wall, and the impedance of its surface (n,), pressure over velocity in Pa s / m.
 
-    Parameters
-    ----------
-    density, modulus : (n,) complex
-        Of the equivalent fluid.
-    thickness : float
-        m.
-    frequency : (n,)
-        Hz.
-    gas : Gas
-        In front of the layer.
-
-    Returns
-    -------
-    absorption : (n,)
-        Share of the incoming energy that does not come back.
-    impedance : (n,) complex
-        Pressure over velocity, Pa s / m.
+    `density` and `modulus` (n,) are those of the equivalent fluid, `thickness` is in m, `frequency` (n,) in Hz, and
+    `gas` is in front of the layer.
     """
     omega = 2 * np.pi * np.asarray(frequency, np.float64)
     wave = omega * np.sqrt(density / modulus)
+    # a rigid wall reflects all: the impedance of the layer is -j Z cot(k d)
     impedance = -1j * np.sqrt(density * modulus) / np.tan(wave * thickness)
     back = (impedance - gas.impedance) / (impedance + gas.impedance)
     return 1 - np.abs(back) ** 2, impedance
@@ -156,5 +122,6 @@ _INSIDE = 12
 
 def third_octave(nominal: int) -> NDArray[np.float64]:
     """Frequencies inside of a third-octave band, evenly spread on a logarithmic axis, Hz."""
+    # exact middles are powers of 10^0.1 (base-ten bands of ISO 266), from which nominal ones are rounded
     number = round(10 * np.log10(nominal))
     return np.asarray(10 ** ((number + (np.arange(_INSIDE) + 0.5) / _INSIDE - 0.5) / 10))

@@ -58,14 +58,11 @@ class ChannelWork(NamedTuple):
 class ChannelGrids:
     """A multigrid cycle for the pressure, positive definite by construction.
 
-    Graphs have cycles with Gauss-Seidel sweeps forward before and backward after, whose coarse matrices are Galerkin's:
-    what a cycle takes of an error is never more than all of it, so that two in turn are still positive definite. Two
-    are made where the fluid is a small part of the voxels: its channels are narrow, and graphs cost little.
-
-    Parameters
-    ----------
-    weights : 3 arrays (nz, ny, nx) float32
-        Between each voxel and the one before it along x, y, z; 0 across walls. Voxels without any have no unknown.
+    Graphs have cycles with Gauss-Seidel sweeps forward before and backward after, whose coarse matrices are
+    Galerkin's: what a cycle takes of an error is never more than all of it, so that two in turn are still positive
+    definite. Two are made where the fluid is a small part of the voxels: its channels are narrow, and graphs cost
+    little. `weights` are three arrays (nz, ny, nx) between each voxel and the one before it along x, y, z; 0 across
+    walls. Voxels without any have no unknown.
     """
 
     def __init__(self, weights: tuple[NDArray[np.float32], ...]) -> None:
@@ -89,23 +86,13 @@ class ChannelGrids:
         return ChannelWork(z, r, total)
 
     def cycle(self, r: NDArray[np.float32], work: Workspace, own: ChannelWork) -> NDArray[np.float32]:
-        """One cycle, two steps of the smoother before and after: an approximation of the solution for `r`.
-
-        Parameters
-        ----------
-        r : flat
-        work : Workspace
-            Of any grids of these voxels with one unknown each.
-        own : ChannelWork
-
-        Returns
-        -------
-        z : flat
-            Belongs to `work`.
+        """One cycle, two steps of the smoother before and after: an approximation of the solution for `r` (flat),
+        which belongs to `work`, the workspace of any grids of these voxels with one unknown each.
         """
         level, z, q = self.level, work.z[0], work.q[0]
         weighted(r, level.weight, z)
         level.apply(SMOOTH, z, r, q, work)
+        # smoothers before and after mirror each other, so that the cycle is a symmetric operator, as MINRES requires
         level.apply(RESIDUAL, q, r, z, work)
         collect_pieces(z, self.piece, own.r[0])
         spread_pieces(self._correction(0, own), self.piece, q)
@@ -141,6 +128,7 @@ def _joined(piece: NDArray[np.int32], weights: tuple[NDArray[np.float32], ...], 
     parts = []
     for d, weight in enumerate(weights):
         before = np.roll(piece, 1, 2 - d)
+        # weights within a piece vanish from the coarse matrix, as its values are constant there
         apart = (weight > 0) & (piece != before)
         shares = np.float32(0.5) * weight[apart]
         parts.append(coo_array((shares.astype(np.float64), (piece[apart], before[apart])), (count, count)).tocsr())
@@ -156,21 +144,15 @@ def _laplacian(joins: Any) -> Any:
 
 
 def _graphs(matrix: Any, place: NDArray[np.int64], blocks: tuple[int, ...]) -> tuple[list[_Graph], NDArray[np.float64]]:
-    """Graphs, and the inverse of the coarsest matrix.
+    """Graphs, and the inverse of the coarsest matrix, from the matrix of the first graph.
 
-    Parameters
-    ----------
-    matrix : scipy.sparse.csr_array
-        Of the first one.
-    place : (n, 3) int64
-        Block of each unknown along z, y, x.
-    blocks : (z, y, x)
-        How many there are.
+    `place` (n, 3) are the blocks of its unknowns along z, y, x, of which there are `blocks` along each.
     """
     from scipy.sparse import coo_array, csr_array, diags_array
     from scipy.sparse.csgraph import connected_components
 
     graphs = []
+    # pieces of eight blocks that are joined become one unknown of the next graph
     while matrix.shape[0] > _DENSE and max(blocks) > 1:
         place, blocks = place >> 1, tuple(-(-n // 2) for n in blocks)
         block = np.ravel_multi_index(tuple(place.T), blocks)
@@ -184,6 +166,7 @@ def _graphs(matrix: Any, place: NDArray[np.int64], blocks: tuple[int, ...]) -> t
         # the sum of absolute values in a row bounds the eigenvalues; it is twice the diagonal where all signs differ
         bound = abs(matrix).sum(axis=1)
         step = np.divide(_SMOOTHED, bound, out=np.zeros(size), where=bound > 0)
+        # one damped Jacobi step on the piecewise constant interpolation: smoothed aggregation
         up = (constant - diags_array(step) @ (matrix @ constant)).tocsr()
         coarse = (up.T @ matrix @ up).tocsr()
         joins = diags_array(coarse.diagonal()) - coarse
@@ -195,8 +178,10 @@ def _graphs(matrix: Any, place: NDArray[np.int64], blocks: tuple[int, ...]) -> t
             up, joins, place = up[:, joined].tocsr(), joins[joined][:, joined].tocsr(), place[joined]
         graphs.append(_graph(matrix, up))
         matrix = _laplacian(joins)
+    # symmetrized below, since rounding of the products leaves differences that `eigh` would ignore on one side
     dense = matrix.toarray()
     values, vectors = np.linalg.eigh((dense + dense.T) / 2)
+    # pressures are known up to a constant for each piece: the pseudo-inverse leaves these modes out
     whole = values > _SINGULAR * values.max(initial=0.0)
     inverse = (vectors[:, whole] / values[whole]) @ vectors[:, whole].T
     return graphs, np.asarray(inverse, np.float64)
@@ -211,26 +196,14 @@ def _graph(matrix: Any, up: Any) -> _Graph:
 
 @jit
 def pieces_of_blocks(
-    diagonal: NDArray[np.float32],
-    wx: NDArray[np.float32],
-    wy: NDArray[np.float32],
-    wz: NDArray[np.float32],
-    shape: NDArray[np.int64],
-    piece: NDArray[np.int32],
-    block: NDArray[np.int64],
-) -> int:
+    diagonal: NDArray[np.float32], wx: NDArray[np.float32], wy: NDArray[np.float32], wz: NDArray[np.float32],
+    shape: NDArray[np.int64], piece: NDArray[np.int32], block: NDArray[np.int64],
+) -> int:  # fmt: skip
     """Number the connected pieces within each block of 2 x 2 x 2 voxels; returns how many there are.
 
-    Parameters
-    ----------
-    diagonal, wx, wy, wz : (nz, ny, nx) flat
-        As of a `SevenPointLevel`; where the diagonal is 0, there is no unknown.
-    shape : (3,) int64
-        nx, ny, nz.
-    piece : (nz, ny, nx) int32, flat
-        Receives numbers in the order of blocks, where there are unknowns.
-    block : (pieces,) int64 or longer
-        Receives the block of each piece.
+    `diagonal` and weights are those of a `SevenPointLevel`, (nz, ny, nx) flat; where the diagonal is 0, there is no
+    unknown. `shape` is (nx, ny, nz). `piece`, (nz, ny, nx) flat, receives numbers in the order of blocks, and `block`
+    the block of each piece.
     """
     nx, ny, nz = shape[0], shape[1], shape[2]
     found, number = 0, 0
@@ -256,6 +229,7 @@ def pieces_of_blocks(
                         w = wx[at[k]] if bit == 0 else (wy[at[k]] if bit == 1 else wz[at[k]])
                         if w > 0:
                             low, high = min(root[k], root[other]), max(root[k], root[other])
+                            # eight labels: relabeling all of them is cheaper than a union-find structure
                             for one in range(8):
                                 if root[one] == high:
                                     root[one] = low
@@ -310,17 +284,10 @@ def leave(
 
 @jit
 def relax_from_zero(
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float32],
-    inverse: NDArray[np.float32],
-    r: NDArray[np.float32],
-    z: NDArray[np.float32],
-    up_starts: NDArray[np.int32],
-    up_columns: NDArray[np.int32],
-    up_values: NDArray[np.float32],
-    coarse: NDArray[np.float32],
-) -> None:
+    starts: NDArray[np.int32], columns: NDArray[np.int32], values: NDArray[np.float32], inverse: NDArray[np.float32],
+    r: NDArray[np.float32], z: NDArray[np.float32], up_starts: NDArray[np.int32], up_columns: NDArray[np.int32],
+    up_values: NDArray[np.float32], coarse: NDArray[np.float32],
+) -> None:  # fmt: skip
     """A sweep of Gauss and Seidel forward from zero, and the restriction of what it leaves of the right-hand side."""
     z[:] = 0
     for i in range(len(r)):
@@ -334,17 +301,10 @@ def relax_from_zero(
 
 @jit
 def relax_back(
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float32],
-    inverse: NDArray[np.float32],
-    r: NDArray[np.float32],
-    up_starts: NDArray[np.int32],
-    up_columns: NDArray[np.int32],
-    up_values: NDArray[np.float32],
-    coarse: NDArray[np.float32],
-    z: NDArray[np.float32],
-) -> None:
+    starts: NDArray[np.int32], columns: NDArray[np.int32], values: NDArray[np.float32], inverse: NDArray[np.float32],
+    r: NDArray[np.float32], up_starts: NDArray[np.int32], up_columns: NDArray[np.int32],
+    up_values: NDArray[np.float32], coarse: NDArray[np.float32], z: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Add what is interpolated from a coarse correction, and sweep backward."""
     for i in range(len(r)):
         z[i] += _row(up_starts, up_columns, up_values, i, coarse)

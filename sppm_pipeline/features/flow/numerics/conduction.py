@@ -54,15 +54,7 @@ _R = tuple(np.uint64(STRIDE * row) for row in range(SCRATCH_ROWS))
 
 
 class Conducted(NamedTuple):
-    """Effective conductivity and how it was computed.
-
-    Attributes
-    ----------
-    conductivity : (3, 3) float64
-        Mean flux over mean gradient; the unit of the voxels' conductivity.
-    solved : tuple of 3 Solved
-    precision : str
-    """
+    """Effective conductivity (3, 3), mean flux over mean gradient in the unit of the voxels', and its solves."""
 
     conductivity: NDArray[np.float64]
     solved: tuple[Solved, ...]
@@ -81,21 +73,9 @@ def conductivity(
 ) -> Conducted:
     """Effective conductivity of a periodic cell of isotropic voxels, trilinear bricks with full integration.
 
-    Parameters
-    ----------
-    k : (nz, ny, nx) float
-        Conductivities of the voxels; 0 for insulators.
-    edges : (hx, hy, hz)
-        Of a voxel, in any unit.
-    residual, tolerance, iterations, precision, threads
-        As for `elasticity.stiffness`.
-
-    Raises
-    ------
-    ValueError
-        If a conductivity is negative or not finite.
-    ArithmeticError
-        If the iteration fails in double precision, too.
+    `k` (nz, ny, nx) are the conductivities of the voxels, 0 for insulators, and `edges` those of a voxel (hx, hy, hz)
+    in any unit; the rest is as for `elasticity.stiffness`. `ValueError` if a conductivity is negative or not finite,
+    `ArithmeticError` if the iteration fails in double precision, too.
     """
     dtype = np.dtype(precision)
     k = np.asarray(k, dtype)
@@ -157,6 +137,7 @@ class _Potentials:
             flow_energies(u, k, c, level.size, first, min(first + _LAYERS, nz), out)
             return out
 
+        # parts are added in the order of layers, so that the sum does not depend on threads
         with ThreadPoolExecutor(threads) as pool:
             parts = list(pool.map(layers, range(0, nz, _LAYERS)))
         total = np.zeros((3, 3))
@@ -169,29 +150,14 @@ class _Potentials:
 def tortuosity(effective: NDArray[np.float64], fraction: float, bulk: float = 1.0) -> list[float | None]:
     """``fraction * bulk / effective`` along x, y, z: the squared ratio of path lengths; None without flux.
 
-    Parameters
-    ----------
-    effective : (3, 3)
-        Effective conductivity of a phase in an insulator.
-    fraction : float
-        Volume fraction of the phase.
-    bulk : float
-        Its conductivity.
+    `effective` (3, 3) is the conductivity of a phase, of volume fraction `fraction` and conductivity `bulk`, in an
+    insulator.
     """
     return [fraction * bulk / float(value) if value > 0 else None for value in np.diag(effective)]
 
 
 class ConductionLevel:
-    """One grid of a conductor; see `multigrid.hierarchy.Level`.
-
-    Parameters
-    ----------
-    k : (nz, ny, nx) float
-        Conductivities.
-    edges : (hx, hy, hz)
-        Of a voxel.
-    dtype : float32 or float64
-    """
+    """One grid of conductivities `k` (nz, ny, nx), voxels of `edges` (hx, hy, hz); see `multigrid.hierarchy.Level`."""
 
     components = 1
 
@@ -303,31 +269,14 @@ def _brick_row(s: NDArray[Any], k: NDArray[Any], at: Any, c: NDArray[Any], first
 
 @jit
 def apply_conductivity(
-    mode: int,
-    v: NDArray[Any],
-    r: NDArray[Any],
-    weight: NDArray[Any],
-    k: NDArray[Any],
-    c: NDArray[Any],
-    shape: NDArray[np.int64],
-    out: NDArray[Any],
-    plane: NDArray[Any],
-    s: NDArray[Any],
-) -> float:
+    mode: int, v: NDArray[Any], r: NDArray[Any], weight: NDArray[Any], k: NDArray[Any], c: NDArray[Any],
+    shape: NDArray[np.int64], out: NDArray[Any], plane: NDArray[Any], s: NDArray[Any],
+) -> float:  # fmt: skip
     """Fluxes ``f = K v`` of potentials, or what a solver needs of them; compare `elastic_operator.apply_stiffness`.
 
-    Parameters
-    ----------
-    mode : {APPLY, RESIDUAL, SMOOTH}
-    v, r, weight, out : (nz, ny, nx) flat
-    k : flat
-        Conductivities of the voxels, rows padded as by `multigrid.hierarchy.padded`.
-    c : (10,)
-        From `conduction_coefficients`.
-    shape : (3,) int64
-        nx, ny, nz.
-    plane : (ny, nx) flat
-    s : (SCRATCH_ROWS * STRIDE,)
+    `v`, `r`, `weight` and `out` are (nz, ny, nx) flat, `plane` is (ny, nx) flat; `k` has rows padded as by
+    `multigrid.hierarchy.padded`, `c` (10,) comes from `conduction_coefficients`, `shape` is (nx, ny, nz), and `s` is
+    scratch of SCRATCH_ROWS * STRIDE.
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     padded = np.uint64(len(k)) // (lines * planes)
@@ -363,26 +312,12 @@ def apply_conductivity(
 
 @jit
 def flow_energies(
-    u: NDArray[Any],
-    k: NDArray[Any],
-    c: NDArray[Any],
-    shape: NDArray[np.int64],
-    first: int,
-    last: int,
+    u: NDArray[Any], k: NDArray[Any], c: NDArray[Any], shape: NDArray[np.int64], first: int, last: int,
     out: NDArray[np.float64],
-) -> None:
-    """Add the mutual energies of three potentials in the layers ``first <= z < last`` of voxels.
-
-    Parameters
-    ----------
-    u : (3, nz, ny, nx)
-        The potentials whose mean gradients are along x, y, z.
-    k : (nz, ny, padded)
-    c : (10,)
-        Coefficients; the gradients that are added are all one.
-    shape, first, last
-        As for `elastic_energy.energies`.
-    out : (3, 3) float64
+) -> None:  # fmt: skip
+    """Add the mutual energies (3, 3) of the potentials `u` (3, nz, ny, nx), whose mean gradients are along x, y, z, in
+    the layers ``first <= z < last`` of voxels; in `c` (10,) all gradients that are added are one. See
+    `elastic_energy.energies`.
     """
     nx, ny, nz = shape
     gx, gy, gz = np.float64(c[0]), np.float64(c[1]), np.float64(c[2])

@@ -21,33 +21,23 @@ _NEAREST = 0.05
 class Faces(NamedTuple):
     """Faces that a fluid passes; arrays (nz, ny, nx), one for each of the families x, y, z.
 
-    Attributes
-    ----------
-    active : 3 bool arrays
-    walls : 3 float32 arrays
-        Drag of the walls on active faces: the sum over neighbors of the same family beyond a wall, in edges h of a
-        voxel, of ``1 / (theta h^2)``, the wall being ``theta h`` away.
-    weights : 3 float32 arrays
-        By which a face counts in means and forces: 1 away from walls, 0 where it is not active.
-    edges : (hx, hy, hz)
-        Of a voxel.
-    porosity : float
-        Fraction of the cell that is fluid.
-    surface : float or None
-        Area of the walls over the volume of the cell; None for whole voxels, which have only stairs.
+    `walls` is the drag of the walls on active faces: the sum over neighbors of the same family beyond a wall, in edges
+    h of a voxel, of ``1 / (theta h^2)``, the wall being ``theta h`` away. By `weights` a face counts in means and
+    forces: 1 away from walls, 0 where it is not active.
     """
 
     active: tuple[NDArray[np.bool_], ...]
     walls: tuple[NDArray[np.float32], ...]
     weights: tuple[NDArray[np.float32], ...]
     edges: tuple[float, float, float]
-    porosity: float
-    surface: float | None
+    porosity: float  # fraction of the cell that is fluid
+    surface: float | None  # area of the walls over the volume of the cell; None for whole voxels' stairs
 
     def voxels(self) -> NDArray[np.bool_]:
         """Voxels with an active face, (nz, ny, nx)."""
         held = np.zeros_like(self.active[0])
         for d, active in enumerate(self.active):
+            # the low face of a voxel, and that of the next one
             held |= active | np.roll(active, -1, 2 - d)
         return held
 
@@ -55,23 +45,19 @@ class Faces(NamedTuple):
 def faces_of_field(sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[int, int, int], spacing: float) -> Faces:
     """Faces of a field that is positive in the fluid, the walls where it is zero on the way from a face to the next.
 
-    Parameters
-    ----------
-    sample : callable
-        Values of the field on a grid, (nz, ny, nx).
-    shape : (nx, ny, nz)
-        Voxels.
-    spacing : float
-        Edge of a voxel in the field's coordinates; that of the result is 1.
+    `sample` gives values of the field on a grid, (nz, ny, nx); `shape` are voxels (nx, ny, nz), `spacing` their edge
+    in the field's coordinates; that of the result is 1.
     """
 
     def theta(here: NDArray[Any], there: NDArray[Any], bend: NDArray[Any], along: bool) -> NDArray[Any]:
         fall = here - there
+        # the zero of the line between both values, and the first correction by their second difference
         linear = here / fall
         return np.asarray(np.clip(linear - bend * linear * (1 - linear) / (2 * fall), 0, 1))
 
     levels = []
     for d in range(3):
+        # centers of the low faces along d
         x, y, z = (0.0 if axis == d else spacing / 2 for axis in range(3))
         levels.append(sample(Grid((x, y, z), (spacing,) * 3, shape)))
     edges = (1.0, 1.0, 1.0)
@@ -184,23 +170,12 @@ def _smaller(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
 
 
 class Percolation(NamedTuple):
-    """The part of a fluid that flows.
+    """The part of a fluid that flows."""
 
-    Attributes
-    ----------
-    faces : Faces
-        Without pockets, the parts that wrap along no axis.
-    wraps : 3 bools
-        Whether something is connected to its own periodic image along x, y, z.
-    pockets : int
-    pocket_share : float
-        Share of the fluid's voxels and faces that is in pockets.
-    """
-
-    faces: Faces
-    wraps: tuple[bool, bool, bool]
+    faces: Faces  # without pockets, the parts that wrap along no axis
+    wraps: tuple[bool, bool, bool]  # along x, y, z: something is connected to its own periodic image
     pockets: int
-    pocket_share: float
+    pocket_share: float  # share of the fluid's voxels and faces that is in pockets
 
 
 def percolating(faces: Faces) -> Percolation:

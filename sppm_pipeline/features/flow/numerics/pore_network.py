@@ -26,18 +26,10 @@ sets the resistance of no throat, as that follows from the radii along the whole
 class CutNetwork(NamedTuple):
     """Tunnels of a periodic cell as throats that lie within it; those that leave the cell are cut at its faces.
 
-    Attributes
-    ----------
-    coords : (n, 3) float64, cell sizes
-        The pores of the cell, then images of these on opposite faces, and ends of throats that were cut.
-    image_of : (n,) int64
-        Index of the first of all pores that are one in the periodic cell.
-    conns : (t, 2) int64
-        The lower index first.
-    tunnel : (t,) int64
-        Of which each throat is the whole or a part.
-    vectors : (t, 3) float64
-        From the first end of a throat to the second.
+    `coords` (n, 3) are the pores in cell sizes, then images of these on opposite faces, and ends of throats that were
+    cut; `image_of` (n,) is the index of the first of all pores that are one in the periodic cell. Throats have their
+    ends in `conns` (t, 2), the lower index first, `vectors` (t, 3) from the first end to the second, and the `tunnel`
+    (t,) of which each is the whole or a part.
     """
 
     coords: NDArray[np.float64]
@@ -53,14 +45,8 @@ class CutNetwork(NamedTuple):
 
 
 def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift: NDArray[np.integer]) -> CutNetwork:
-    """Throats within the unit cell.
-
-    Parameters
-    ----------
-    centers : (n, 3) float64
-        In the unit cube.
-    edges, shift : (m, 2), (m, 3) int
-        Tunnels from ``centers[i]`` to ``centers[j] + shift``.
+    """Throats within the unit cell, of tunnels from ``centers[i]`` to ``centers[j] + shift``: `centers` (n, 3) in the
+    unit cube, `edges` (m, 2) and `shift` (m, 3) of integers.
     """
     coords = [np.asarray(center) for center in centers]
     image_of = list(range(len(centers)))
@@ -84,6 +70,7 @@ def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift
     for number, ((i, j), moved) in enumerate(zip(edges.tolist(), shift.astype(np.float64), strict=True)):
         start, end = centers[i], centers[j] + moved
         step = end - start
+        # parameters along the tunnel at which it crosses a face of any image of the cell
         cuts = {
             (plane - start[axis]) / step[axis]
             for axis in range(3)
@@ -93,6 +80,7 @@ def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift
             if min(start[axis], end[axis]) < plane < max(start[axis], end[axis])
         }
         inner: list[float] = []
+        # planes that are crossed at once, at an edge or corner of the cell, cut once
         for t in sorted(cuts):
             if t - (inner[-1] if inner else 0.0) > ROUNDING and t < 1 - ROUNDING:
                 inner.append(t)
@@ -102,6 +90,7 @@ def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift
         count += len(inner)
         for k in range(len(stops) - 1):
             first, last = start + stops[k] * step, start + stops[k + 1] * step
+            # the middle of a part decides in which cell it lies: its ends may lie on faces
             cell = np.floor(0.5 * (first + last))
             a = node(owners[k], first - cell, offsets[k] - cell)
             b = node(owners[k + 1], last - cell, offsets[k + 1] - cell)
@@ -124,35 +113,17 @@ def _in_cell(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class Measured(NamedTuple):
-    """Sizes of pores and throats, in cell sizes.
+    """Sizes of pores (n,) and throats (t,), in cell sizes."""
 
-    Attributes
-    ----------
-    pore_radius : (n,) float64
-        Distance from the center to the nearest wall; half a cell edge where there is none.
-    pore_volume : (n,) float64
-        Of the void that is nearer to this pore than to any other; all of the void goes to pores.
-    throat_radius : (t,) float64
-        The least distance from the axis to a wall; 0 where the axis meets the solid.
-    size_factor : (t,) float64
-        ``pi / 8 / integral ds / r^4``: conductance times viscosity, cubed cell sizes.
-    """
-
-    pore_radius: NDArray[np.float64]
-    pore_volume: NDArray[np.float64]
-    throat_radius: NDArray[np.float64]
-    size_factor: NDArray[np.float64]
+    pore_radius: NDArray[np.float64]  # distance from the center to the nearest wall; half a cell edge without any
+    pore_volume: NDArray[np.float64]  # void that is nearer to this pore than to any other; together all void
+    throat_radius: NDArray[np.float64]  # least distance from the axis to a wall; 0 where the axis meets the solid
+    size_factor: NDArray[np.float64]  # pi / 8 / integral ds / r^4: conductance times viscosity, cubed cell sizes
 
 
 def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1) -> Measured:
-    """Measure pores and throats in a sampled field.
-
-    Parameters
-    ----------
-    network : CutNetwork
-    values : (n, n, n) float32, indexed z, y, x
-        A periodic field at the centers of n voxels along an edge of the cell; below 0 is solid.
-    threads : int
+    """Measure pores and throats in `values` (n, n, n), indexed z, y, x: a periodic field at the centers of n voxels
+    along an edge of the cell, below 0 in the solid.
     """
     from scipy.ndimage import map_coordinates
     from scipy.spatial import KDTree
@@ -162,6 +133,7 @@ def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1)
 
     n = values.shape[0]
     vertices = marching_cubes(wrapped(values), 0.0, (0.5 / n,) * 3, (1 / n,) * 3)[0]
+    # distances to the vertices of the surface stand for those to its triangles, which are smaller than a voxel
     tree = KDTree(_in_cell(vertices), boxsize=1.0) if len(vertices) else None
 
     def to_wall(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,6 +146,7 @@ def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1)
     length = np.linalg.norm(network.vectors, axis=1)
     slices = np.maximum(1, np.ceil(SLICES_OF_A_VOXEL * n * length)).astype(np.int64)
     first = np.cumsum(slices) - slices
+    # the slices of all throats together, for one query of the tree
     throat = np.repeat(np.arange(len(slices)), slices)
     along = (np.arange(slices.sum()) - first[throat] + 0.5) / slices[throat]
     starts = network.coords[network.conns[:, 0]]
@@ -193,14 +166,9 @@ def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1)
 def permeability(network: CutNetwork, size_factor: NDArray[np.float64]) -> NDArray[np.float64]:
     """Permeability of a periodic network of throats, (3, 3), cell sizes squared.
 
-    Of all pressures in the pores those are taken at which no fluid is gained or lost in any of them, and the power that
-    is dissipated under unit gradients gives the tensor, symmetric and never negative.
-
-    Parameters
-    ----------
-    network : CutNetwork
-    size_factor : (t,) float64
-        Flux times viscosity over the difference in pressure; 0 for closed throats.
+    Of all pressures in the pores those are taken at which no fluid is gained or lost in any of them, and the power
+    that is dissipated under unit gradients gives the tensor, symmetric and never negative. `size_factor` (t,) is the
+    flux times viscosity over the difference in pressure; 0 for closed throats.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
@@ -221,5 +189,6 @@ def permeability(network: CutNetwork, size_factor: NDArray[np.float64]) -> NDArr
     if free.any():
         load = -(weighted.T @ network.vectors)[free]
         pressure[free] = spsolve(laplacian[free][:, free].tocsc(), load).reshape(-1, 3)
+    # differences of pressure along throats under unit gradients; with conductances, the dissipated power is quadratic
     drop = network.vectors + rise @ pressure
     return np.asarray(drop.T @ (size_factor[:, None] * drop))

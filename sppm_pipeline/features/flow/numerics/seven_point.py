@@ -56,29 +56,13 @@ def _beside(w: NDArray[Any], wat: Any, v: NDArray[Any], vat: Any, s: NDArray[Any
 
 @jit
 def apply_seven_point(
-    mode: int,
-    v: NDArray[Any],
-    r: NDArray[Any],
-    weight: NDArray[Any],
-    diagonal: NDArray[Any],
-    wx: NDArray[Any],
-    wy: NDArray[Any],
-    wz: NDArray[Any],
-    shape: NDArray[np.int64],
-    out: NDArray[Any],
-    s: NDArray[Any],
-) -> float:
+    mode: int, v: NDArray[Any], r: NDArray[Any], weight: NDArray[Any], diagonal: NDArray[Any], wx: NDArray[Any],
+    wy: NDArray[Any], wz: NDArray[Any], shape: NDArray[np.int64], out: NDArray[Any], s: NDArray[Any],
+) -> float:  # fmt: skip
     """The operator, or what a solver needs of it; compare `elastic_operator.apply_stiffness`.
 
-    Parameters
-    ----------
-    mode : {APPLY, RESIDUAL, SMOOTH}
-    v, r, weight, diagonal, out : (nz, ny, nx) flat
-    wx, wy, wz : (nz, ny, nx) flat
-        Weights between each unknown and the one before it along the axis.
-    shape : (3,) int64
-        nx, ny, nz.
-    s : (SCRATCH_ROWS * STRIDE,)
+    All arrays are (nz, ny, nx) flat, but for `shape` (nx, ny, nz) and the scratch `s` (SCRATCH_ROWS * STRIDE,); `wx`,
+    `wy`, `wz` are the weights between each unknown and the one before it along the axis.
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     total = 0.0
@@ -105,12 +89,8 @@ def apply_seven_point(
 class SevenPointLevel:
     """One grid; see `multigrid.hierarchy.Level`.
 
-    Parameters
-    ----------
-    walls : (nz, ny, nx) float32
-        Drag of the walls; 0 where there is none.
-    weights : 3 arrays (nz, ny, nx) float32
-        Between each unknown and the one before it along x, y, z; 0 across walls. Unknowns without any are none.
+    `walls` (nz, ny, nx) is the drag of the walls, 0 where there is none; `weights`, three such arrays, join each
+    unknown and the one before it along x, y, z; 0 across walls. Unknowns without any are none.
     """
 
     components = 1
@@ -148,15 +128,10 @@ def _united(values: NDArray[np.float32], axes: tuple[int, ...]) -> NDArray[np.fl
 
 
 def hierarchy_of(walls: NDArray[np.float32], weights: tuple[NDArray[np.float32], ...]) -> Hierarchy:
-    """All grids, the coarsest of two unknowns along an axis at most.
-
-    Parameters
-    ----------
-    walls, weights
-        As of a `SevenPointLevel`.
-    """
+    """All grids, the coarsest of two unknowns along an axis at most; arguments as of a `SevenPointLevel`."""
     levels = [SevenPointLevel(walls, weights)]
     while coarser(levels[-1].shape) is not None:
+        # halved like the weights, as the distance from the wall doubles, too
         walls = np.float32(0.5) * _united(walls, (0, 1, 2))
         coarse = []
         for d, w in enumerate(weights):
@@ -176,12 +151,7 @@ def hierarchy_of(walls: NDArray[np.float32], weights: tuple[NDArray[np.float32],
 
 
 class CellTransfer(NamedTuple):
-    """Between the unknowns of two grids; see `multigrid.hierarchy.Transfer`.
-
-    Attributes
-    ----------
-    fine, coarse : SevenPointLevel
-    """
+    """Between the unknowns of two grids; see `multigrid.hierarchy.Transfer`."""
 
     fine: SevenPointLevel
     coarse: SevenPointLevel
@@ -212,6 +182,7 @@ def _spread(s: NDArray[Any], w: NDArray[Any], out: NDArray[Any], at: Any, n: Any
         out[i] += low if w[i] > nothing else nothing
         out[i + _1] += high if w[i + _1] > nothing else nothing
     if n & _1 != _0 and w[at + n - _1] > nothing:
+        # the last of an odd row lies in the lower half of its coarse unknown, next to the one before
         out[at + n - _1] += near * s[m] + far * s[m - _1]
 
 
@@ -236,25 +207,14 @@ def _collect(fine: NDArray[Any], at: Any, n: Any, m: Any, far: Any, s: NDArray[A
 
 @jit
 def interpolate_cells_add(
-    coarse: NDArray[Any],
-    out: NDArray[Any],
-    weight: NDArray[Any],
-    fine_size: NDArray[np.int64],
-    coarse_size: NDArray[np.int64],
-    far: Any,
-    s: NDArray[Any],
-) -> None:
+    coarse: NDArray[Any], out: NDArray[Any], weight: NDArray[Any], fine_size: NDArray[np.int64],
+    coarse_size: NDArray[np.int64], far: Any, s: NDArray[Any],
+) -> None:  # fmt: skip
     """Add the interpolated coarse vector to a fine one, where `weight` is not 0.
 
-    Parameters
-    ----------
-    coarse, out, weight : flat, of (nz, ny, nx)
-    fine_size, coarse_size : (3,) int64
-        nx, ny, nz.
-    far : float
-        Share of the second nearest coarse unknown along an axis; the nearest has the rest.
-    s : (> nx + 1 of the fine grid,)
-        Scratch.
+    `coarse`, `out` and `weight` are flat, of (nz, ny, nx), sizes (nx, ny, nz); `far` is the share of the second
+    nearest coarse unknown along an axis, the nearest has the rest; `s` is scratch of more than nx + 1 of the fine
+    grid.
     """
     nx, ny, nz = np.uint64(fine_size[0]), np.uint64(fine_size[1]), np.uint64(fine_size[2])
     mx, my, mz = np.uint64(coarse_size[0]), np.uint64(coarse_size[1]), np.uint64(coarse_size[2])
@@ -282,14 +242,9 @@ def _gather(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, n: Any) ->
 
 @jit
 def restrict_cells(
-    fine: NDArray[Any],
-    out: NDArray[Any],
-    weight: NDArray[Any],
-    fine_size: NDArray[np.int64],
-    coarse_size: NDArray[np.int64],
-    far: Any,
-    s: NDArray[Any],
-) -> None:
+    fine: NDArray[Any], out: NDArray[Any], weight: NDArray[Any], fine_size: NDArray[np.int64],
+    coarse_size: NDArray[np.int64], far: Any, s: NDArray[Any],
+) -> None:  # fmt: skip
     """The transpose of `interpolate_cells_add`, 0 where `weight`, of the coarse grid here, is 0; arguments as there."""
     nx, ny, nz = np.uint64(fine_size[0]), np.uint64(fine_size[1]), np.uint64(fine_size[2])
     mx, my, mz = np.uint64(coarse_size[0]), np.uint64(coarse_size[1]), np.uint64(coarse_size[2])

@@ -74,7 +74,6 @@ class Flow(NamedTuple):
         velocity; NaN in the solid.
     solved : tuple of 3 Solved
         Their energy is the permeability along the axis.
-    precision : str
     """
 
     permeability: NDArray[np.float64]
@@ -98,23 +97,11 @@ def stokes_flow(
     precision: Any = np.float32,
     threads: int = 1,
 ) -> Flow:
-    """Solve for the flow along each axis.
+    """Solve for the flow along each axis of `axes`, those with a way through; nothing flows along others.
 
-    Parameters
-    ----------
-    faces : Faces
-        Without pockets.
-    porosity : float
-        Fraction of the cell that is open, for the tortuosities.
-    axes : 3 bools
-        Whether there is a way through along x, y, z; nothing flows along others.
-    residual, tolerance, iterations, precision, threads
-        As for `elasticity.stiffness`; cycles of the preconditioner are always in single precision.
-
-    Raises
-    ------
-    ArithmeticError
-        If the iteration fails in double precision, too.
+    `faces` are without pockets; `porosity` is the fraction of the cell that is open, for the tortuosities; the rest is
+    as for `elasticity.stiffness`, but cycles of the preconditioner are always in single precision. `ArithmeticError`
+    if the iteration fails in double precision, too.
     """
     longest = max(faces.edges)
     edges = tuple(h / longest for h in faces.edges)
@@ -127,6 +114,7 @@ def stokes_flow(
     wanted = [d for d in range(3) if axes[d] and thermal > 0]
     stop, dtype = Stop(residual, tolerance, iterations), np.dtype(precision)
     if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
+        # in single precision, rounding stops the iteration before
         dtype = np.dtype(np.float64)
     problem = _Problem(weights, edges, velocity, weighted, faces.active[0].shape)
     # MINRES needs a definite preconditioner, which rounding may spoil in single precision
@@ -197,6 +185,7 @@ def _speed(u: NDArray[Any]) -> NDArray[Any]:
     """Speed in the voxels, (nz, ny, nx), from velocities on their faces."""
     total = np.zeros_like(u[0])
     for d in range(3):
+        # both faces of a voxel along d, averaged to its center
         total += ((u[d] + np.roll(u[d], -1, 2 - d)) / 2) ** 2
     return np.asarray(np.sqrt(total))
 
@@ -204,6 +193,7 @@ def _speed(u: NDArray[Any]) -> NDArray[Any]:
 def _velocity_hierarchy(faces: Faces, edges: tuple[float, ...], d: int, longest: float) -> Hierarchy:
     """Grids of one component of the velocity."""
     active = faces.active[d]
+    # the Laplacian joins active faces; a wall between two counts by its drag alone
     weights = tuple((active & np.roll(active, 1, 2 - axis)) * np.float32(1 / edges[axis] ** 2) for axis in range(3))
     return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights)
 
@@ -292,6 +282,7 @@ class _Problem:
             self.apply(z, q, rows)
             delta = dot(z, q)
             _combine(q, v, -delta / gamma, before, -gamma / gamma_before)
+            # the two last Givens rotations applied to the new column of the tridiagonal Lanczos matrix
             a0, a2, a3 = c * delta - c_before * s * gamma, s * delta + c_before * c * gamma, s_before * gamma
             gamma_before, direction = gamma, z[: 3 * n]
             before, v, q = v, q, before
@@ -309,6 +300,7 @@ class _Problem:
             _combine(u, w, c * eta)
             changes.append(c * eta * dot(w[driven], force) / n)
             k = dot(u[driven], force) / n
+            # |eta| is the norm of the residual in the metric of the preconditioner
             eta *= -s
             error = _remaining(changes) / max(abs(k), floor)
             reached = abs(eta) <= start * stop.residual or error <= stop.energy
@@ -368,25 +360,13 @@ def _outflow(
 
 @jit
 def couple(
-    u: NDArray[Any],
-    p: NDArray[Any],
-    weights: NDArray[np.float32],
-    factors: NDArray[Any],
-    shape: NDArray[np.int64],
-    gradient: NDArray[Any],
-    inflow: NDArray[Any],
-) -> None:
+    u: NDArray[Any], p: NDArray[Any], weights: NDArray[np.float32], factors: NDArray[Any], shape: NDArray[np.int64],
+    gradient: NDArray[Any], inflow: NDArray[Any],
+) -> None:  # fmt: skip
     """Add the gradient of the pressure to what acts on faces, and write the inflow into each voxel.
 
-    Parameters
-    ----------
-    u, weights, gradient : (3 nz ny nx,) flat
-        On the faces of the families x, y, z; the weights count in both.
-    p, inflow : (nz ny nx,) flat
-    factors : (3,)
-        Inverse edges of a voxel along x, y, z.
-    shape : (3,) int64
-        nx, ny, nz.
+    `u`, `weights` and `gradient` are on the faces of the families x, y, z, (3 nz ny nx,), and the weights count in
+    both; `p` and `inflow` are (nz ny nx,), `factors` (3,) inverse edges of a voxel, `shape` (nx, ny, nz).
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     size = n * lines * planes

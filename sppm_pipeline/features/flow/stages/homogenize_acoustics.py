@@ -63,6 +63,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
         )
         narrow, wide = conducted
         open_share = 1 - flow.pocket_share
+        # porosity over conductivity on both sides of the wall, averaged as the conductivities are
         tortuosity = float(np.mean([open_share * p / max(k, 1e-12) for p, k in zip(porosity, conducted, strict=True)]))
         viscous = flow.viscous_tortuosity[axis]
         assert viscous is not None
@@ -107,5 +108,6 @@ class HomogenizeAcoustics(FlowHomogenizer):
         )
         options = self.solver_options(context.threads)
         options["tolerance"] = max(1e-7, TIGHTER * options["tolerance"])
+        # a voxel at the wall conducts by the share of it that is open
         found = conductivity(1 - solid, **options)
         return float(found.conductivity[axis, axis]), 1 - float(solid.mean(dtype=np.float64))

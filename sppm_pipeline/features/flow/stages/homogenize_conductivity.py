@@ -182,6 +182,7 @@ class HomogenizeConductivity(Homogenizer):
                 f"the void may conduct through walls, which are {self.resolution * wall:.2g} voxels thick; "
                 f"`resolution: {math.ceil(MIN_WALL / wall)}` or more ({MIN_WALL} voxels) closes them"
             ]
+        # a way through voxels that are more than half open is no leak
         closed = ~np.array(phase_report((cell.fraction.T < 0.5).view(np.uint8)).wraps)
         leaking = [axis for axis, leak in zip("xyz", closed & flows, strict=True) if leak]
         if not leaking:

@@ -64,13 +64,7 @@ class FlowHomogenizer(Homogenizer):
         return faces, float(self.resolution)
 
     def flow_of(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
-        """Solve for the flow along each axis.
-
-        Raises
-        ------
-        DesignError
-            If there are no walls across an axis, or they are too thin to be seen.
-        """
+        """The flow along each axis; `DesignError` if no walls are across one, or they are too thin to be seen."""
         from sppm_pipeline.features.flow.numerics.faces import percolating
         from sppm_pipeline.features.flow.numerics.stokes import stokes_flow
 
@@ -84,6 +78,7 @@ class FlowHomogenizer(Homogenizer):
                 hint="check which side of the field or image is solid, and the `resolution` if the solid is thin",
             )
         open_void = percolating(faces)
+        # pockets hold no flow: only open void counts as porosity of the flow
         porosity = faces.porosity * (1 - open_void.pocket_share)
         found = stokes_flow(open_void.faces, porosity, open_void.wraps, **self.solver_options(context.threads))
         warnings = self.solver_warnings(found.solved, found.precision)

@@ -71,6 +71,7 @@ class WriteNetwork(Stage):
             raise DesignError(
                 "a pore network is that of one periodic cell, not of a tile set", hint="take one interior and one color"
             )
+        # radii are measured on the grid: too coarse a one may close throats
         if (coarse := source.coarseness(1 / self.resolution)) is not None:
             context.warn(coarse)
         graph = source.graph
@@ -106,6 +107,7 @@ def _columns(network: CutNetwork, sizes: Measured, meters: float) -> dict[str, N
     from sppm_pipeline.features.flow.numerics.pore_network import MIN_LENGTH
 
     length = np.linalg.norm(network.vectors, axis=1)
+    # OpenPNM takes the length of a throat without its pores
     outside = np.maximum(length - sizes.pore_radius[network.conns].sum(1), MIN_LENGTH * length)
     sides = {
         f"pore.{axis}{side}": np.abs(network.coords[:, number] - place) < 1e-9

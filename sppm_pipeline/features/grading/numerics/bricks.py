@@ -25,16 +25,8 @@ def interpolate(
 ) -> None:
     """Values at places in a cell, by the four samples along each axis of Catmull and Rom (1974).
 
-    Parameters
-    ----------
-    brick : (n + 4, n + 4, n + 4) float32
-        Samples indexed x, y, z, n to an edge of the cell; the second one lies in its low corner.
-    places : (m, 3) float64
-        0 to 1 in the cell.
-    chosen : (k,) int64
-        Places at which values are wanted.
-    out : (m,) float32
-        Receives them.
+    `brick` (n + 4, n + 4, n + 4) are samples indexed x, y, z, n to an edge of the cell, the second one in its low
+    corner; `places` (m, 3) are 0 to 1 in the cell, of which those `chosen` (k,) are written to `out` (m,).
     """
     n = brick.shape[0] - 4
     wx, wy, wz = np.empty(4), np.empty(4), np.empty(4)
@@ -56,9 +48,8 @@ def interpolate(
 
 @jit
 def cubic_in_layers(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values (n,) at places (n, 3), x, y, z counted in samples from the first one, of layers indexed z, y, x.
-
-    A place needs one sample before it and two behind it along each axis.
+    """Values (n,) at places (n, 3), x, y, z counted in samples from the first one, of layers indexed z, y, x; a place
+    needs one sample before it and two behind it along each axis.
     """
     out = np.empty(len(places), np.float32)
     wx, wy, wz = np.empty(4), np.empty(4), np.empty(4)

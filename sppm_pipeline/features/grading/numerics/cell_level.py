@@ -1,9 +1,9 @@
 """A level that is smooth over cells of any shape: one unknown a cell, blended by Wendland's functions.
 
 Each cell has a weight that falls from its middle to zero at `SUPPORT` cells from there, measured in the frame of the
-cell, and the weights at a place are divided by their sum (Shepard). The weight is Wendland's C2 function
-``(1 - q)^4 (4 q + 1)`` (Wendland 1995). A blend at the middles of a fine lattice is the control of a quadratic spline,
-which is what is used in the end: it is once continuously differentiable and cheap to evaluate on rows of samples.
+cell, and the weights at a place are divided by their sum (Shepard). The weight is Wendland's C2 function ``(1 - q)^4
+(4 q + 1)`` (Wendland 1995). A blend at the middles of a fine lattice is the control of a quadratic spline, which is
+what is used in the end: it is once continuously differentiable and cheap to evaluate on rows of samples.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ _CELLS_AT_A_TIME = 2000
 
 
 class ControlLattice(NamedTuple):
-    """Lattice of the control points of the spline, in the middles of small cells of an edge, mm; `origin` is the
-    low corner of the first one.
-    """
+    """Control points of the spline: middles of small cells of an edge, mm, the first of which begins at `origin`."""
 
     shape: tuple[int, int, int]
     edge: float
@@ -71,17 +69,10 @@ def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDAr
 
 @jit
 def _weights(
-    low: NDArray[np.int64],
-    high: NDArray[np.int64],
-    shape: NDArray[np.int64],
-    edge: float,
-    origin: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    point: NDArray[np.int64],
-    cell: NDArray[np.int64],
-    weight: NDArray[np.float64],
-) -> int:
+    low: NDArray[np.int64], high: NDArray[np.int64], shape: NDArray[np.int64], edge: float,
+    origin: NDArray[np.float64], centers: NDArray[np.float64], inverse: NDArray[np.float64], point: NDArray[np.int64],
+    cell: NDArray[np.int64], weight: NDArray[np.float64],
+) -> int:  # fmt: skip
     count = 0
     for c in range(len(centers)):
         for i in range(low[c, 0], high[c, 0]):
@@ -108,10 +99,8 @@ def means_over_cells(
     blend: csr_array,
     inner: Callable[[int, int], tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> csr_array:
-    """Matrix from the cells' values to the means of the spline over each cell, (m, m).
-
-    `inner` gives for the cells from a first one to before a last one points (cells, k, 3) mm and the volume that each
-    stands for, (cells, k).
+    """Matrix from the cells' values to the means of the spline over each cell, (m, m); `inner` gives for the cells
+    from a first one to before a last one points (cells, k, 3) mm and the volume that each stands for, (cells, k).
     """
     from scipy.sparse import csr_array, vstack
 
@@ -124,6 +113,7 @@ def means_over_cells(
         along = np.stack([(1 - t) ** 2 / 2, 0.5 + t - t**2, t**2 / 2], -1)  # as in `level_spline`
         share = (volume / volume.sum(axis=1, keepdims=True)).ravel()
         cell = np.repeat(np.arange(len(points)), points.shape[1])
+        # 27 control points around each place carry its value
         mean = csr_array((len(points), blend.shape[0]))
         for step in np.ndindex(3, 3, 3):
             node = np.clip(own + np.array(step) - 1, 0, shape - 1)
@@ -181,10 +171,7 @@ BYTES_OF_A_SAMPLE = 24
 def porosities_and_slopes(
     samples: list[CellSamples], control: NDArray[np.float64], cells: int, half_width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Share of each cell at or above the level, and its change with the level.
-
-    Samples within `half_width` of the level give the slope.
-    """
+    """Share of each cell at or above the level, and its change with it by samples within `half_width` of the level."""
     totals = np.zeros((3, cells))
     padded = np.pad(control, 1, mode="edge")
     for some in samples:
@@ -195,14 +182,9 @@ def porosities_and_slopes(
 
 @jit
 def _compare(
-    place: NDArray[np.float32],
-    cell: NDArray[np.int32],
-    value: NDArray[np.float32],
-    volume: NDArray[np.float32],
-    padded: NDArray[np.float64],
-    half_width: float,
-    totals: NDArray[np.float64],
-) -> None:
+    place: NDArray[np.float32], cell: NDArray[np.int32], value: NDArray[np.float32], volume: NDArray[np.float32],
+    padded: NDArray[np.float64], half_width: float, totals: NDArray[np.float64],
+) -> None:  # fmt: skip
     """Sums by cell of the volume, of that at or above the level, and of that near it."""
     own = np.empty(3, np.int64)
     w = np.empty((3, 3))

@@ -16,21 +16,11 @@ as many follow the scatter of single cells, half as many smooth the curve."""
 
 
 class PorosityCurve(NamedTuple):
-    """Means of trial cells, interpolated monotonically (PCHIP: Fritsch and Carlson 1980).
+    """Means of trial cells, interpolated monotonically (PCHIP: Fritsch and Carlson 1980)."""
 
-    Attributes
-    ----------
-    counts : (m,) float64
-        Numbers of pores of a cell, ascending.
-    porosities : (m,) float64
-        Their mean porosities, ascending.
-    deviation : float
-        Standard deviation of the porosity of single cells of one number of pores; 0 if there was one of each.
-    """
-
-    counts: NDArray[np.float64]
-    porosities: NDArray[np.float64]
-    deviation: float
+    counts: NDArray[np.float64]  # (m,), numbers of pores of a cell, ascending
+    porosities: NDArray[np.float64]  # (m,), their mean porosities, ascending
+    deviation: float  # standard deviation of single cells of one number of pores; 0 if there was one of each
 
     def pores(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
         """Numbers of pores, not whole, at porosities within the range of the curve."""
@@ -46,13 +36,7 @@ class PorosityCurve(NamedTuple):
 
 
 def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
-    """The curve through the means of equal counts.
-
-    Raises
-    ------
-    DesignError
-        If the porosity does not grow with the number of pores.
-    """
+    """The curve through the means of equal counts; `DesignError` if porosity does not grow with the number of pores."""
     n, value = np.array(counts), np.array(porosities)
     order = np.unique(n)
     means = np.array([value[n == c].mean() for c in order])
@@ -71,21 +55,11 @@ def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
 
 
 class StiffnessCurve(NamedTuple):
-    """Young's modulus over porosity: its logarithm goes through means of cells by monotone cubics (PCHIP).
+    """Young's modulus over porosity: its logarithm goes through means of cells by monotone cubics (PCHIP)."""
 
-    Attributes
-    ----------
-    porosities : (m,) float64
-        Ascending.
-    moduli : (m,) float64
-        Descending.
-    deviation : float
-        Relative standard deviation of single cells around the curve; 0 if it goes through all of them.
-    """
-
-    porosities: NDArray[np.float64]
-    moduli: NDArray[np.float64]
-    deviation: float
+    porosities: NDArray[np.float64]  # (m,), ascending
+    moduli: NDArray[np.float64]  # (m,), descending
+    deviation: float  # relative standard deviation of single cells around the curve; 0 if it goes through all of them
 
     def porosity(self, modulus: NDArray[np.float64]) -> NDArray[np.float64]:
         """Porosities of moduli within the range of the curve; not a number beyond it."""
@@ -115,12 +89,7 @@ def stiffness_curve(porosities: NDArray[np.float64], moduli: NDArray[np.float64]
     """The curve through cells, which may scatter: means of groups, made monotone by pooling neighbors that are not.
 
     Up to twelve cells stand for themselves, more are taken in twelve groups of nearly one porosity (pool-adjacent-
-    violators: Barlow et al. 1972).
-
-    Raises
-    ------
-    DesignError
-        If fewer than two different means remain.
+    violators: Barlow et al. 1972). `DesignError` if fewer than two different means remain.
     """
     order = np.argsort(porosities, kind="stable")
     x, y = porosities[order], np.log(moduli[order])

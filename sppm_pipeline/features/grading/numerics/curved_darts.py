@@ -1,7 +1,7 @@
 """Dart throwing in hexahedra of any shape, by quota, with spacings that follow their size or stay.
 
-Two pores at p and q keep the mean of the spacings there, as in `blocks`, measured straight. Hexahedra are thrown
-one after the other, all into one list, so that spacings hold across their faces whatever the mesh looks like.
+Two pores at p and q keep the mean of the spacings there, as in `blocks`, measured straight. Hexahedra are thrown one
+after the other, all into one list, so that spacings hold across their faces whatever the mesh looks like.
 """
 
 from __future__ import annotations
@@ -19,17 +19,10 @@ _ABOVE = 1.3  # the determinant is looked at in 27 places, and may be so much la
 
 
 class GrowingCloud:
-    """Pores thrown so far, with the spacing that each keeps.
+    """Up to `capacity` pores thrown so far in a `box` (2, 3) mm, with the spacing that each keeps.
 
-    Parameters
-    ----------
-    capacity : int
-        Most pores there will be.
-    widest : float
-        Largest spacing that any pore keeps, mm; those of pores that keep more are not looked for far enough. Where
-        spacings follow the determinant, as in `throw` unless `by_volume`, it is that at its largest.
-    box : (2, 3) float64
-        Low and high corner of what pores may lie in, mm.
+    `widest` is the largest spacing that any pore keeps, mm; those of pores that keep more are not looked for far
+    enough. Where spacings follow the determinant, as in `throw` unless `by_volume`, it is that at its largest.
     """
 
     def __init__(self, capacity: int, widest: float, box: NDArray[np.float64]) -> None:
@@ -56,24 +49,12 @@ class GrowingCloud:
         spacings: NDArray[np.float64],
         by_volume: bool,
     ) -> NDArray[np.int64]:
-        """Throw pores into hexahedra.
+        """Throw `quotas` (m,) pores into hexahedra with `corners` (m, 2, 2, 2, 3) mm; returns for how many there was
+        no room, (m,).
 
-        Parameters
-        ----------
-        seed : int
-        corners : (m, 2, 2, 2, 3) float64, mm
-        quotas : (m,) int64
-            Pores of each.
-        spacings : (m,) float64
-            mm; or, unless `by_volume`, in cube roots of the determinant.
-        by_volume : bool
-            Whether pores are as dense everywhere in a hexahedron; otherwise as in a cube that was bent to it, so that
-            they are finer where it is narrower.
-
-        Returns
-        -------
-        (m,) int64
-            Pores for which there was no room.
+        Spacings (m,) are in mm; or, unless `by_volume`, in cube roots of the determinant. With `by_volume` pores are
+        as dense everywhere in a hexahedron; otherwise as in a cube that was bent to it, so that they are finer where
+        it is narrower.
         """
         missing = np.zeros(len(quotas), np.int64)
         nodes = np.ascontiguousarray(corners.reshape(-1, 8, 3), np.float64)
@@ -102,15 +83,9 @@ def _remove_last(cells: CellList) -> None:
 
 @jit
 def _throw(
-    cells: CellList,
-    kept: NDArray[np.float64],
-    stream: NDArray[np.uint64],
-    nodes: NDArray[np.float64],
-    quotas: NDArray[np.int64],
-    spacings: NDArray[np.float64],
-    by_volume: bool,
-    missing: NDArray[np.int64],
-) -> None:
+    cells: CellList, kept: NDArray[np.float64], stream: NDArray[np.uint64], nodes: NDArray[np.float64],
+    quotas: NDArray[np.int64], spacings: NDArray[np.float64], by_volume: bool, missing: NDArray[np.int64],
+) -> None:  # fmt: skip
     p, d = np.empty(3), np.empty((3, 3))
     metric = np.empty(0)
     for e in range(len(quotas)):
@@ -145,13 +120,9 @@ def _throw(
 
 @jit
 def _take(
-    cells: CellList,
-    kept: NDArray[np.float64],
-    candidates: NDArray[np.float64],
-    spacings: NDArray[np.float64],
-    group: NDArray[np.int64],
-    left: NDArray[np.int64],
-) -> None:
+    cells: CellList, kept: NDArray[np.float64], candidates: NDArray[np.float64], spacings: NDArray[np.float64],
+    group: NDArray[np.int64], left: NDArray[np.int64],
+) -> None:  # fmt: skip
     metric = np.empty(0)
     for n in range(len(candidates)):
         p = candidates[n]

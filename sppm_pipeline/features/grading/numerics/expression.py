@@ -130,6 +130,7 @@ def _parsed(text: str) -> ast.expr:
             raise fault(text, match.start(), f"{brief(number)} is beyond the largest number, 1.8e308")
         if number.isdigit():  # Python reads no zeros in front
             source = source[: match.start()] + (number.lstrip("0") or "0").ljust(len(number)) + source[match.end() :]
+    # counted before parsing: nested brackets could exhaust the parser's stack
     for at, depth in enumerate(accumulate((c == "(") - (c == ")") for c in text)):
         if depth > MAX_DEPTH:
             raise fault(text, at, f"the formula is nested more than {MAX_DEPTH} deep", "write it as several maps")
@@ -152,24 +153,8 @@ def _parsed(text: str) -> ast.expr:
 
 
 class Expression:
-    """A formula, parsed and compiled.
-
-    Parameters
-    ----------
-    text : str
-    names : iterable of str
-        Variables that it may use.
-
-    Attributes
-    ----------
-    text : str
-    used : mapping of str to int
-        The variables that it uses, and the position of the first use, from 0.
-
-    Raises
-    ------
-    ConfigError
-        With the position of what is wrong.
+    """A formula, parsed and compiled, with the variables `names` that it may use; `ConfigError` states the position of
+    what is wrong. `used` are the variables that it uses, each with the position of its first use, from 0.
     """
 
     def __init__(self, text: str, names: Iterable[str]) -> None:
@@ -227,11 +212,9 @@ class Expression:
         self._program.append((len(of), make))
 
     def evaluate(self, values: Mapping[str, NDArray[np.float64]], count: int) -> NDArray[np.float64]:
-        """Its value at `count` points.
-
-        Not finite where the formula is not defined.
-        """
+        """Its value at `count` points; not finite where the formula is not defined."""
         made = np.empty(count)
+        # values that are not finite are found, and named with their place, by the map
         with np.errstate(all="ignore"):
             for start in range(0, count, BLOCK):
                 own = slice(start, min(start + BLOCK, count))

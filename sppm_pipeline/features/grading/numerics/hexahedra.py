@@ -13,22 +13,10 @@ from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
 
 
 def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The nodes of a mesh of hexahedra as a block.
+    """The nodes (nx + 1, ny + 1, nz + 1) of hexahedra (m, 8) as a block, whose axes are those of the first element.
 
-    Parameters
-    ----------
-    hexahedra : (m, 8) int64
-        Nodes in VTK's order; each may begin at any corner, wound either way.
-
-    Returns
-    -------
-    (nx + 1, ny + 1, nz + 1) int64
-        The axes are those of the first element.
-
-    Raises
-    ------
-    ValueError
-        If the elements are no block of nx x ny x nz.
+    Nodes are in VTK's order; each element may begin at any corner, wound either way. `ValueError` if the elements are
+    no block of nx x ny x nz.
     """
     cubes = hexahedra[:, PLACES].reshape(-1, 2, 2, 2)
     owners: dict[frozenset[int], list[int]] = {}
@@ -39,6 +27,7 @@ def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
         raise ValueError("three elements share a face")
     place: dict[int, tuple[int, int, int]] = {0: (0, 0, 0)}
     turned = {0: cubes[0]}
+    # from element to element across their faces, each turned so that it fits the one it was reached from
     waiting = deque([0])
     while waiting:
         number = waiting.popleft()
@@ -77,6 +66,7 @@ def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
 def _fitted(cube: NDArray[np.int64], face: NDArray[np.int64], axis: int, side: int) -> NDArray[np.int64]:
     """A cube turned so that its far side along an axis is a face."""
     for order in itertools.permutations(range(3)):
+        # all 48 ways, mirrored ones too, as elements may be wound either way
         for flips in itertools.product((1, -1), repeat=3):
             made = cube.transpose(order)[:: flips[0], :: flips[1], :: flips[2]]
             if np.array_equal(made.take(1 - side, axis), face):
@@ -87,9 +77,8 @@ def _fitted(cube: NDArray[np.int64], face: NDArray[np.int64], axis: int, side: i
 def mapped_in_block(
     corners: NDArray[np.float64], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Trilinear places in a block of hexahedra, and the determinant of the derivative.
-
-    `places` (n, 3) count elements; those beyond the block are continued from the element next to them.
+    """Trilinear places in a block of hexahedra, and the determinant of the derivative; `places` (n, 3) count elements,
+    and those beyond the block are continued from the element next to them.
     """
     size = np.array(corners.shape[:3]) - 1
     element = np.clip(np.floor(places), 0, size - 1).astype(np.int64)

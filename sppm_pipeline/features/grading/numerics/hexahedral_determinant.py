@@ -35,6 +35,7 @@ def determinant_coefficients(corners: NDArray[np.float64]) -> NDArray[np.float64
     along_x = np.einsum("jb,kc,mbcv->mjkv", w, w, corners[:, 1] - corners[:, 0])[:, None]
     along_y = np.einsum("ia,kc,macv->mikv", w, w, corners[:, :, 1] - corners[:, :, 0])[:, :, None]
     along_z = np.einsum("ia,jb,mabv->mijv", w, w, corners[:, :, :, 1] - corners[:, :, :, 0])[:, :, :, None]
+    # 27 values determine a polynomial of degree two along each axis
     values = (along_x * np.cross(along_y, along_z)).sum(axis=-1)
     c = _COEFFICIENTS
     return np.asarray(np.einsum("ia,jb,kc,mabc->mijk", c, c, c, values, optimize=True))
@@ -50,17 +51,8 @@ def largest_determinants(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def above_throughout(corners: NDArray[np.float64], bounds: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Test whether the determinant of the derivative is above a bound everywhere in a hexahedron.
-
-    Parameters
-    ----------
-    corners : (m, 2, 2, 2, 3) float64
-    bounds : (m,) float64
-
-    Returns
-    -------
-    (m,) bool
-        False also where it is so close to the bound that a few hundred parts do not decide.
+    """Which hexahedra (m, 2, 2, 2, 3) have a determinant of the derivative above their bound (m,) everywhere; not also
+    where it is so close to the bound that a few hundred parts do not decide.
     """
     above = np.ones(len(corners), bool)
     for first in range(0, len(corners), _AT_ONCE):

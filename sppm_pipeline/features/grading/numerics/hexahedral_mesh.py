@@ -35,44 +35,21 @@ _ON_FACE = 1e-3
 
 
 class HexahedralMesh(NamedTuple):
-    """Hexahedra that meet node by node.
+    """Hexahedra that meet node by node."""
 
-    Attributes
-    ----------
-    corners : (m, 2, 2, 2, 3) float64
-        Nodes by x, y, z of each hexahedron, which are right-handed.
-    hexahedra : (m, 8) int64
-        Their nodes in VTK's order; nodes at the same place are one.
-    listed : (m, 8) int64
-        The same nodes as the file numbers them, which may list one several times.
-    boundary : (f, 4) int64
-        Nodes of the faces at which the mesh ends, normals outwards.
-    nodes : (n, 3) float64
-    turned : str
-        Order of the nodes in the file, if it is not the expected one.
-    """
-
-    corners: NDArray[np.float64]
-    hexahedra: NDArray[np.int64]
-    listed: NDArray[np.int64]
-    boundary: NDArray[np.int64]
-    nodes: NDArray[np.float64]
-    turned: str
+    corners: NDArray[np.float64]  # (m, 2, 2, 2, 3), nodes by x, y, z of each hexahedron, which are right-handed
+    hexahedra: NDArray[np.int64]  # (m, 8), their nodes in VTK's order; nodes at the same place are one
+    listed: NDArray[np.int64]  # (m, 8), the same nodes as the file numbers them, which may list one several times
+    boundary: NDArray[np.int64]  # (f, 4), nodes of the faces at which the mesh ends, normals outwards
+    nodes: NDArray[np.float64]  # (n, 3)
+    turned: str  # order of the nodes in the file, if it is not the expected one
 
 
 def checked_mesh(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> HexahedralMesh:
-    """A mesh of hexahedra, if they fill a body face to face.
+    """A mesh of `points` (n, 3) and hexahedra (m, 8), if they fill a body face to face.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-    hexahedra : (m, 8) int64
-        In VTK's order, or one of some others that programs use, all in the same.
-
-    Raises
-    ------
-    ValueError
-        If a hexahedron is flat or inside out anywhere or listed twice, three meet at a face, or nodes hang.
+    Nodes are in VTK's order, or one of some others that programs use, all in the same. `ValueError` if a hexahedron is
+    flat or inside out anywhere or listed twice, three meet at a face, or nodes hang.
     """
     listed = hexahedra
     hexahedra, nodes = _joined(points, hexahedra)
@@ -221,10 +198,7 @@ def _bilinear(
 
 
 def split(corners: NDArray[np.float64], parts: tuple[int, int, int]) -> NDArray[np.float64]:
-    """Hexahedra cut into so many along each axis, exactly: (m, 2, 2, 2, 3) to (m parts, 2, 2, 2, 3).
-
-    Those of one follow each other, z fastest.
-    """
+    """Hexahedra cut along each axis, exactly: (m, 2, 2, 2, 3) to (m parts, 2, 2, 2, 3), parts in a row, z fastest."""
     m = len(corners)
     axes = [np.arange(n + 1) / n for n in parts]
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
@@ -239,13 +213,8 @@ def split(corners: NDArray[np.float64], parts: tuple[int, int, int]) -> NDArray[
 
 
 def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Triangles of the boundary, each face cut into `parts` x `parts` squares so that its twist is followed.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (2 parts^2 f, 3) int32
-        Normals outwards.
+    """Triangles of the boundary, vertices (n, 3) and faces (2 parts^2 f, 3), normals outwards; each face is cut into
+    `parts` x `parts` squares so that its twist is followed.
     """
     quads = mesh.nodes[mesh.boundary]
     step = np.arange(parts + 1) / parts
@@ -268,30 +237,18 @@ def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[NDArray[np.flo
 
 
 class OuterHexahedra(NamedTuple):
-    """Hexahedra that continue others beyond the boundary of a mesh.
+    """Hexahedra that continue others beyond the boundary of a mesh."""
 
-    Attributes
-    ----------
-    corners : (f, 2, 2, 2, 3) float64
-    cell : (f,) int32
-        The hexahedron that each continues.
-    low, size : (f, 3) float64
-        Place of its low corner in that hexahedron, and its size there.
-    """
-
-    corners: NDArray[np.float64]
-    cell: NDArray[np.int32]
-    low: NDArray[np.float64]
-    size: NDArray[np.float64]
+    corners: NDArray[np.float64]  # (f, 2, 2, 2, 3)
+    cell: NDArray[np.int32]  # (f,), the hexahedron that each continues
+    low: NDArray[np.float64]  # (f, 3), place of its low corner in that hexahedron
+    size: NDArray[np.float64]  # (f, 3), its size there
 
 
 def outer_hexahedra(corners: NDArray[np.float64], far: float) -> OuterHexahedra:
-    """Continue hexahedra (m, 2, 2, 2, 3) that meet node by node, by a share `far` of their length.
-
-    Faces are compared by their nodes' places, which are equal to the last bit, or up to rounding where hexahedra were
-    cut into parts.
-    """
+    """Continue hexahedra (m, 2, 2, 2, 3) that meet node by node, by a share `far` of their length."""
     size = np.abs(corners).max()
+    # places of nodes are equal to the last bit, or up to rounding where hexahedra were cut into parts
     places = np.round(corners / max(size, 1e-300) * 2.0**36).astype(np.int64).reshape(-1, 3)
     _, number = np.unique(places, axis=0, return_inverse=True)
     nodes = number.reshape(-1, 2, 2, 2)

@@ -26,21 +26,10 @@ _OUT = 2.0  # a place so far from the middle is no longer on the way to one insi
 def points_in(
     corners: NDArray[np.float64], cell: NDArray[np.integer], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points at places in hexahedra, and the derivative of the mapping.
+    """Points (n, 3) at places in hexahedra `corners` (m, 2, 2, 2, 3), nodes by x, y, z, and the derivative of the
+    mapping (n, 3, 3), whose column a is that along axis a.
 
-    Parameters
-    ----------
-    corners : (m, 2, 2, 2, 3) float64
-        Nodes by x, y, z of the hexahedron.
-    cell : (n,) int
-    places : (n, 3) float64
-        From 0 to 1 along each axis; beyond, the mapping is continued.
-
-    Returns
-    -------
-    points : (n, 3) float64
-    derivative : (n, 3, 3) float64
-        Column a is that along axis a.
+    `places` (n, 3) go from 0 to 1 along each axis; beyond, the mapping is continued.
     """
     points, derivative = np.zeros((len(cell), 3)), np.zeros((len(cell), 3, 3))
     for corner in np.ndindex(2, 2, 2):
@@ -64,26 +53,13 @@ def hexahedron_tree(corners: NDArray[np.float64]) -> BoxTree:
 def places_in(
     tree: BoxTree, corners: NDArray[np.float64], points: NDArray[np.float64], apart: int | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """The hexahedron around each point, and the place in it.
+    """The hexahedron (n,) around each point (n, 3), -1 outside of all, and the place in it (n, 3), 0 to 1 along each
+    axis.
 
     Where several hold a point, as on a common face, it is the first of them, and Newton steps begin in the middle, so
-    that the result depends on the point alone. Points that follow each other should be near each other.
-
-    Parameters
-    ----------
-    tree : BoxTree
-        By `hexahedron_tree`.
-    corners : (m, 2, 2, 2, 3) float64
-    points : (n, 3) float64
-    apart : int, optional
-        So many of the first hexahedra do not overlap; the others may, them and each other. All by default.
-
-    Returns
-    -------
-    cell : (n,) int32
-        -1 outside of all.
-    places : (n, 3) float64
-        0 to 1 along each axis.
+    that the result depends on the point alone. Points that follow each other should be near each other. Of the
+    hexahedra `corners` (m, 2, 2, 2, 3), with their `hexahedron_tree`, so many of the first as `apart` do not overlap,
+    all by default; the others may, them and each other.
     """
     nodes = np.ascontiguousarray(corners.reshape(-1, 8, 3))
     apart = len(nodes) if apart is None else apart
@@ -92,13 +68,9 @@ def places_in(
 
 @jit
 def _places_in(
-    order: NDArray[np.int64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    nodes: NDArray[np.float64],
-    points: NDArray[np.float64],
-    apart: int,
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    order: NDArray[np.int64], boxes: NDArray[np.float64], starts: NDArray[np.int64], nodes: NDArray[np.float64],
+    points: NDArray[np.float64], apart: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:  # fmt: skip
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
     found = np.full(points.shape[0], -1, np.int32)
@@ -332,9 +304,7 @@ def _search(nodes: NDArray[np.float64], p: NDArray[np.float64], scratch: _Scratc
 def point_and_volume(
     nodes: NDArray[np.float64], x: float, y: float, z: float, p: NDArray[np.float64], d: NDArray[np.float64]
 ) -> float:
-    """Put the point at a place in a hexahedron (8, 3) into `p`, the derivative into `d`, and return its
-    determinant.
-    """
+    """Put the point at a place in a hexahedron (8, 3) into `p`, the derivative into `d`, and return its determinant."""
     for a in range(3):
         x00, x01 = nodes[0, a] + x * (nodes[4, a] - nodes[0, a]), nodes[1, a] + x * (nodes[5, a] - nodes[1, a])
         x10, x11 = nodes[2, a] + x * (nodes[6, a] - nodes[2, a]), nodes[3, a] + x * (nodes[7, a] - nodes[3, a])

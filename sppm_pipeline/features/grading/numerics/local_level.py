@@ -32,16 +32,8 @@ Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
 
 
 class CellCodes:
-    """Values of cells in 16 bits, kept as far as memory allows, and sampled again beyond.
-
-    Parameters
-    ----------
-    sample : callable
-        See `Sample`.
-    middle, half : float
-        Values from ``middle - half`` to ``middle + half`` are resolved in 65 532 steps.
-    memory : float
-        Bytes that may be kept.
+    """Values of cells in 16 bits, kept up to so many bytes of `memory`, and sampled again beyond; those from ``middle
+    - half`` to ``middle + half`` are resolved in 65 532 steps.
     """
 
     def __init__(self, sample: Sample, middle: float, half: float, memory: float) -> None:
@@ -57,6 +49,7 @@ class CellCodes:
 
     def width(self, length: float) -> int:
         """A length of values in codes, a multiple of 4."""
+        # a ramp of half the width has whole halves, too
         return max(4, 4 * round(length * self._scale / 4))
 
     @property
@@ -120,10 +113,8 @@ def fit_level(
 
     The porosity of a cell falls with the mean of the level over it by the share of samples near the level; the spline
     with the wanted changes of its means is a banded solve along each axis. Cells without an equation, outside of the
-    part, follow those around them.
-
-    `targets` are those of the cells, (m,), `start` are control points of the whole lattice, and `width` is that of the
-    ramp of `void_and_slope`. The result does not depend on `threads`; `progress` is called with the cells compared.
+    part, follow those around them. `targets` are those of the cells, (m,), `start` are control points of the whole
+    lattice, and `width` is that of the ramp of `void_and_slope`. The result does not depend on `threads`.
     """
     place, runs = tuple(np.array(cells).T), runs_along_x(cells, RUN)
     known, wanted = np.zeros(start.shape, bool), np.zeros(start.shape)

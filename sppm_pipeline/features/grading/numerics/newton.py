@@ -15,24 +15,12 @@ _MIN_CHANGE = 0.05  # of the porosity over all of that range
 
 
 class LevelFit(NamedTuple):
-    """A level, and the errors it leaves; arrays of the shape of the cells.
-
-    Attributes
-    ----------
-    values : float64
-        Values of the level at the cells.
-    errors : float64
-        Porosity minus its target; 0 for cells without an equation.
-    at_bound : bool
-        Cells whose value lies at a bound while their error is above the tolerance.
-    steps : int
-        Number of times that all cells were compared.
-    """
+    """A level, and the errors it leaves; arrays of the shape of the cells."""
 
     values: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    at_bound: NDArray[np.bool_]
-    steps: int
+    errors: NDArray[np.float64]  # porosity minus its target; 0 for cells without an equation
+    at_bound: NDArray[np.bool_]  # cells whose value lies at a bound while their error is above the tolerance
+    steps: int  # number of times that all cells were compared
 
 
 def newton_steps(
@@ -45,23 +33,12 @@ def newton_steps(
     tolerance: float,
     steps: int,
 ) -> LevelFit:
-    """Adjust the values of all cells at once until each has its porosity.
+    """Adjust the values of all cells at once until each has its porosity within the tolerance, in at most so many
+    steps.
 
-    Parameters
-    ----------
-    measure : callable of the values
-        Porosity of each cell, and its decrease with the mean of the level over the cell.
-    move : callable of the target changes of these means, and of the cells that are held
-        Changes of the values.
-    known : bool array
-        Cells that have an equation.
-    targets, start : float64 arrays
-    bounds : 2 floats
-        Smallest and largest value.
-    tolerance : float
-        Largest error of a cell.
-    steps : int
-        Maximum number of comparisons.
+    `measure` gives for values the porosity of each cell, and its decrease with the mean of the level over the cell;
+    `move` gives for the target changes of these means, and the cells that are held, changes of the values. `known` are
+    the cells that have an equation.
     """
     values = np.clip(start, *bounds)
     span = bounds[1] - bounds[0]
@@ -72,6 +49,7 @@ def newton_steps(
         stuck = (errors > tolerance) & (values >= bounds[1] - 1e-9)
         stuck |= (errors < -tolerance) & (values <= bounds[0] + 1e-9)
         worst = float(np.abs(errors[~stuck]).max(initial=0.0))
+        # steps may overshoot: the best values so far are the result
         if best is None or worst < least:
             best, least = LevelFit(values, errors, stuck, step), worst
         if worst <= tolerance:

@@ -1,9 +1,9 @@
 """Fields made comparable by normal scores, and mixed so that the share of solid is what it should be.
 
-The score of a value is the standard normal quantile of the share of samples below it. Where two fields are independent,
-``cos(s pi / 2) Z_1 + sin(s pi / 2) Z_2`` of their scores is standard normal again, whatever s is, so that a cut at the
-quantile of the share of solid keeps that share (Heitz and Neyret 2018, "High-performance by-example noise using a
-histogram-preserving blending operator"). A plain linear blend is off by up to ten points.
+The score of a value is the standard normal quantile of the share of samples below it. Where two fields are
+independent, ``cos(s pi / 2) Z_1 + sin(s pi / 2) Z_2`` of their scores is standard normal again, whatever s is, so that
+a cut at the quantile of the share of solid keeps that share (Heitz and Neyret 2018, "High-performance by-example noise
+using a histogram-preserving blending operator"). A plain linear blend is off by up to ten points.
 """
 
 from __future__ import annotations
@@ -18,25 +18,14 @@ SCORES = np.linspace(-4.5, 4.5, 1153)
 
 
 class ScoreTable(NamedTuple):
-    """Values of a field and their scores, both ascending.
-
-    Attributes
-    ----------
-    values, scores : (k,) float64
-    """
+    """Values (k,) of a field and their scores, both ascending."""
 
     values: NDArray[np.float64]
     scores: NDArray[np.float64]
 
 
 def score_table(samples: NDArray[np.floating]) -> ScoreTable:
-    """The table of a field, negative in the solid, from samples of equal weight; the score of 0 is exact.
-
-    Raises
-    ------
-    ValueError
-        If all are solid, or all are void.
-    """
+    """The table of a field from samples of equal weight; the score of 0 is exact. `ValueError` if all have one sign."""
     from scipy.special import ndtr, ndtri
 
     zero = ndtri((samples < 0).mean())
@@ -60,6 +49,7 @@ def scores_of(table: ScoreTable, values: NDArray[np.float32]) -> NDArray[np.floa
     found = np.interp(values, v, z)
     for end, inner, beyond in ((0, 1, values < v[0]), (-1, -2, values > v[-1])):
         if beyond.any() and len(v) > 1:
+            # rarer values than any sample go on as the last two entries of the table
             slope = (z[end] - z[inner]) / (v[end] - v[inner])
             found[beyond] = z[end] + slope * (values[beyond] - v[end])
     return found.astype(np.float32)

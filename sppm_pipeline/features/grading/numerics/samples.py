@@ -81,12 +81,8 @@ def smoothed(
     """Means of nodal values, weighted by a Gaussian of the distance and by the nodes' volumes.
 
     The Gaussian has the standard deviation `sigma`, and is cut off at three of them; the `weights` are the nodes'
-    volumes, a quarter of those of their tetrahedra.
-
-    Raises
-    ------
-    ValueError
-        If so many nodes lie within reach of each other that it would take very long.
+    volumes, a quarter of those of their tetrahedra. `ValueError` if so many nodes lie within reach of each other that
+    it would take very long.
     """
     from scipy.spatial import cKDTree
 
@@ -94,6 +90,7 @@ def smoothed(
     pairs = int(tree.count_neighbors(tree, 3 * sigma))
     if pairs > MAX_PAIRS:
         raise ValueError(f"{pairs:.2g} pairs of nodes lie within 3 x {sigma:g} of each other; up to {MAX_PAIRS:.0e} do")
+    # some four million pairs at a time, for memory
     step = max(1, int(len(nodes) * 4e6 / max(pairs, 1)))
     means = np.empty(len(nodes))
     for start in range(0, len(nodes), step):

@@ -28,9 +28,15 @@ from sppm_pipeline import (
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.features.grading.laws import StiffnessLaw
-from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE, error_summary, filled_cells
+from sppm_pipeline.features.grading.local_porosity import (
+    BLOCKS,
+    LEAST_SHARE,
+    block_counts,
+    error_summary,
+    filled_cells,
+    smoothed_means,
+)
 from sppm_pipeline.features.grading.maps import Grading
-from sppm_pipeline.features.grading.numerics.local_means import BLOCKS, block_counts, smoothed_means
 from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.nouns.palette import Blocks
@@ -170,6 +176,7 @@ class CheckLocalPorosity(Stage):
         whole = float(size**3)
         for k in range(nz):
             start, stop = k * size, (k + 1) * size
+            # cells that hold nothing do not count: their void is no pore
             full = np.repeat(np.repeat(filled[:, :, k // BLOCKS], BLOCKS, 0), BLOCKS, 1)
             void = field.solid_zyx(grid, start, stop, context.threads) == 0
             inside = field.inside_zyx(grid, start, stop).view(np.bool_) if isinstance(field, Part) else None
@@ -185,10 +192,7 @@ class CheckLocalPorosity(Stage):
     def _noise(
         self, context: Context, recipe: Recipe, cells: tuple[int, int, int], scattered: bool
     ) -> tuple[float, float]:
-        """Standard deviation in the window, and mean, of the porosity of equal cells in a box of at most 3^3 of them.
-
-        Cells around the box are those of it once more; the window ends at the box, as it does at that of the field.
-        """
+        """Standard deviation in the window, and mean, of the porosity of equal cells in a box of at most 3^3."""
         nx, ny, nz = (min(NOISE_CELLS, n) for n in cells)
         blocks = Blocks(np.ones((nx, ny, nz), bool), True) if scattered else None
         colors = (0, 0, 0) if scattered else (1, 1, 1)
@@ -200,6 +204,7 @@ class CheckLocalPorosity(Stage):
         tiling = Tiling(TileSet(micro, kind, 0), TilingArrays(interior, (x, y, z), True), None)
         void = tiling.solid(BLOCKS * 3, context.threads).T == 0
         counts, of = block_counts(void, None, 3)
+        # cells around the box are those of it once more, but the window ends at it, as it does at that of the field
         means = smoothed_means(counts / of, np.ones(of.shape))
         return float(means.std()), float(void.mean())
 

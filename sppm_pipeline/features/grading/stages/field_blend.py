@@ -74,6 +74,7 @@ class BlendFields(Stage):
         cells = np.argwhere(filled_cells(field)).astype(float)
         if not len(cells):
             raise ConfigError("a field has no cells")
+        # 64 to 127 cells, spread over the field, if there are as many
         cells = cells[:: max(1, len(cells) // 64)]
         n = max(8, round((self.probes / len(cells)) ** (1 / 3)))
         h = 1.0 / n

@@ -59,13 +59,7 @@ class GradeDistance(Grader):
 
 
 def surface_of(part: SurfaceMesh | None) -> tuple[NDArray[np.float64], NDArray[np.int32], bool]:
-    """Vertices and faces of the part, and whether they have an inside.
-
-    Raises
-    ------
-    ConfigError
-        If there is no part, or it has no triangles.
-    """
+    """Vertices and faces of the part, and whether they have an inside; `ConfigError` without a surface."""
     if part is None or not len(part.faces):
         raise ConfigError("there is no surface to measure the distance to", hint="read a mesh before this stage")
     return part.vertices, part.faces, part.bounds_solid

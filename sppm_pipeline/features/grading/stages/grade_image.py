@@ -55,6 +55,7 @@ class GradeImage(DataGrader):
             if not good.all():
                 from scipy.ndimage import distance_transform_edt
 
+                # the value of the nearest voxel that has one
                 nearest = distance_transform_edt(~good, return_distances=False, return_indices=True)
                 values = values[tuple(nearest)]
         mm = UNITS_IN_MM[self.unit]

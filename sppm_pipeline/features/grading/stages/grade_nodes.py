@@ -156,6 +156,7 @@ class GradeNodes(DataGrader):
             length: NDArray[np.float64] = np.linalg.norm(array, axis=1)
             return length
         xx, yy, zz, xy, yz, xz = (array[:, k] for k in (range(6) if count == 6 else (0, 4, 8, 1, 5, 2)))
+        # von Mises: three halves of the square of the deviator
         squares = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2
         mises: NDArray[np.float64] = np.sqrt(squares + 3 * (xy**2 + yz**2 + xz**2))
         return mises

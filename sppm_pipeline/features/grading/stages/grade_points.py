@@ -48,6 +48,7 @@ class GradePoints(DataGrader):
         if len(bad):
             raise InputError(f"{self.path.name}: row {bad[0] + 1} has coordinates that are no finite numbers")
         table = table[self.finite(table[:, 3], f"values of {self.path.name}")]
+        # samples at one place would make flat tetrahedra
         points, group = np.unique(UNITS_IN_MM[self.unit] * table[:, :3], axis=0, return_inverse=True)
         counts = np.bincount(group.ravel())
         values = self.factor * np.bincount(group.ravel(), table[:, 3]) / counts
@@ -64,6 +65,7 @@ class GradePoints(DataGrader):
                 f"{len(points)} points are too many for `interpolation: linear`, up to {MAX_LINEAR} are", hint=hint
             )
         size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 3 else np.zeros(3)
+        # the smallest extent along principal axes: there are no tetrahedra in a plane
         if not size[-1] > 1e-9 * size[0]:
             raise InputError(
                 f"{self.path.name}: its {len(points)} points lie in a plane, on a line or at one", hint=hint

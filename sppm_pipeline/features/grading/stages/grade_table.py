@@ -61,6 +61,7 @@ class GradeTable(Grader):
         """The table."""
         along, factor = self.along, 1.0
         if along in COORDINATES:
+            # what a cell is, is known only where cells are laid
             along = f"cell_{along}" if self.unit == "cells" else along
             factor = UNITS_IN_MM.get(self.unit, 1.0)
         elif along not in before:

@@ -115,7 +115,7 @@ class GradedTiling(Stage):
             (int(x.max()) + 1, int(y.max()) + 1, int(z.max()) + 1),
             None if self.faces == "same" else meetings(arrays.interior, arrays.faces),
             totals=np.rint(count).astype(np.int64),
-            # the share of packing stays: spacing goes with the cube root of the volume per pore
+            # the share of packing stays: spacing scales with the cube root of the volume per pore
             spacings=(total / count) ** (1 / 3),
             face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
         )
@@ -193,21 +193,7 @@ class _Redraws:
     """Palettes of successive rounds: first pores are added and taken away, then the closest draw of each cell is used.
 
     An interior is drawn from its place, its number of pores and the number of its draw, so that an earlier one can be
-    had again.
-
-    Parameters
-    ----------
-    palette : Palette
-        That of the first round.
-    targets : (m,) float64
-        Porosity that each interior is to have.
-    curve : PorosityCurve
-    rounds : int
-
-    Attributes
-    ----------
-    totals : (m,) int64
-        Pores of each cell in the last round.
+    had again. `targets` (m,) are porosities of interiors, `totals` (m,) pores of each cell in the last round.
     """
 
     def __init__(self, palette: Palette, targets: NDArray[np.float64], curve: PorosityCurve, rounds: int) -> None:

@@ -62,8 +62,7 @@ class HexahedralTiling(Stage):
         1, help="cells along each edge of a hexahedron, into which it is cut exactly", minimum=1, maximum=16
     )
     sizes: str = options.sizes(
-        "cell",
-        note="fixed ones are those in a cube of the edge `cell`, and numbers of pores go with volumes",
+        "cell", note="fixed ones are those in a cube of the edge `cell`, and numbers of pores go with volumes"
     )
     cell: Length | None = options.cell(None, note="with `sizes: fixed`; the recipe's `edge` if omitted")
     porosity: float | None = options.porosity(

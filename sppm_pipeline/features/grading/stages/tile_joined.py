@@ -117,6 +117,7 @@ class JoinedTiling(Stage):
             targets = cell_means(grading, "porosity", edge, lattice.origin, between - HALO)
         else:
             targets = (1 - share) * usual[0].porosity + share * usual[1].porosity
+        # sets that are cut at different levels need a level that goes from one to the other
         control = self._levels(sets, own, between, share)
         counts = (1 - share) * usual[0].pores + share * usual[1].pores
         inside = np.pad(lattice.mask, HALO)[tuple(between.T)]
@@ -206,6 +207,7 @@ class JoinedTiling(Stage):
         spacing = a.spacing ** (1 - share) * b.spacing**share * min(1.0, (expected / n) ** (1 / 3))
         rng = context.rng(2, *key)
         for _ in range(60):
+            # half a spacing from the faces, beyond which other cells begin; at most 0.4, so that some room is left
             margin = min(spacing / 2, 0.4)
             try:
                 centers = throw(

@@ -30,13 +30,7 @@ from sppm_pipeline.features.grading.curved_porosity import (
     fit_curved_level,
 )
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
-from sppm_pipeline.features.grading.local_porosity import (
-    HALF_RANGE,
-    RAMP,
-    LatticeCells,
-    cell_means,
-    error_summary,
-)
+from sppm_pipeline.features.grading.local_porosity import HALF_RANGE, RAMP, LatticeCells, cell_means, error_summary
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level
@@ -174,14 +168,8 @@ class TuneLocalPorosity(Stage):
         return _Fitted(made, names, numbers, targets[known], fit, n)
 
     def _range(self, level: float | None, deviation: float) -> tuple[float, float, float, tuple[float, float]]:
-        """The level to start from, half the range of values that are resolved, the width of the ramp, and the bounds.
-
-        Parameters
-        ----------
-        level : float or None
-            Of a sum of kernels.
-        deviation : float
-            Of the values of any other field.
+        """The level to start from, half the range of values that are resolved, the width of the ramp, and the bounds:
+        of the `level` of a sum of kernels, or by the standard `deviation` of the values of any other field.
         """
         if level is None:
             half = 4 * deviation

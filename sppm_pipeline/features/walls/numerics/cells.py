@@ -2,8 +2,8 @@
 
 A cell is kept in its dual form (as by Ray, Sokolov, Lefebvre and Lévy, "Meshless Voronoi on the GPU", ACM Transactions
 on Graphics 37, 2018): each corner is a triple of planes. Neighbors come nearest first, and the cell is finished when
-the next one lies more than twice as far as its farthest corner. Cells are independent of each other: one needs only the
-pores within twice the largest empty radius.
+the next one lies more than twice as far as its farthest corner. Cells are independent of each other: one needs only
+the pores within twice the largest empty radius.
 """
 
 from __future__ import annotations
@@ -29,44 +29,22 @@ _FIRST_SHELL, _SHELL_GROWTH = 1.4, 1.4
 
 
 class VoronoiCells(NamedTuple):
-    """Cells of some pores as sets of planes; inside is ``n . (x - center) <= offset`` for all.
+    """Cells of some pores as sets of planes; inside is ``n . (x - center) <= offset`` for all."""
 
-    Attributes
-    ----------
-    centers : (n, 3) float64
-        The pores.
-    first : (n + 1,) int64
-        Index of the first plane of each cell.
-    planes : (m, 4) float64
-        Unit normal n and offset of each face that is shared with another cell.
-    lower, upper : (n, 3) float64
-        Boxes around the cells.
-    """
-
-    centers: NDArray[np.float64]
-    first: NDArray[np.int64]
-    planes: NDArray[np.float64]
-    lower: NDArray[np.float64]
+    centers: NDArray[np.float64]  # (n, 3), the pores
+    first: NDArray[np.int64]  # (n + 1,), index of the first plane of each cell
+    planes: NDArray[np.float64]  # (m, 4), unit normal n and offset of each face that is shared with another cell
+    lower: NDArray[np.float64]  # (n, 3), boxes around the cells
     upper: NDArray[np.float64]
 
 
 def voronoi_cells(points: NDArray[np.float64], owners: NDArray[np.int64], empty: float) -> VoronoiCells:
-    """Compute the Voronoi cells of some of many pores.
+    """Voronoi cells of some pores, the `owners` (k,), of `points` (n, 3), among which are all within ``2 empty`` of an
+    owner.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Pores, with all that lie within ``2 empty`` of an owner. Coincident ones count as one.
-    owners : (k,) int64
-        Pores whose cells are computed.
-    empty : float
-        Upper bound of the distance of a point from its nearest pore. Cells end that far from their pore along each
-        axis, which is no face, and pores more than twice as far apart share none.
-
-    Returns
-    -------
-    VoronoiCells
-        In the order of `owners`.
+    `empty` is an upper bound of the distance of a point from its nearest pore: cells end that far from their pore
+    along each axis, which is no face, and pores more than twice as far apart share none. Coincident pores count as
+    one.
     """
     order = np.argsort(points[:, 0], kind="stable")
     along_x = np.ascontiguousarray(points[order])
@@ -103,21 +81,11 @@ _DONE, _MORE_PLANES, _MORE_ROOM = 0, 1, 2
 
 @jit
 def _clip_all(
-    points: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    empty: float,
-    spacing: float,
-    face: NDArray[np.float64],
-    corner: NDArray[np.float64],
-    triple: NDArray[np.int32],
-    rim: NDArray[np.int32],
-    distance: NDArray[np.float64],
-    near: NDArray[np.int64],
-    first: NDArray[np.int64],
-    planes: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-) -> int:
+    points: NDArray[np.float64], centers: NDArray[np.float64], empty: float, spacing: float,
+    face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], rim: NDArray[np.int32],
+    distance: NDArray[np.float64], near: NDArray[np.int64], first: NDArray[np.int64], planes: NDArray[np.float64],
+    lower: NDArray[np.float64], upper: NDArray[np.float64],
+) -> int:  # fmt: skip
     """Clip the boxes of all centers; `points` are sorted along x. The arrays from `face` to `near` are work space."""
     total = 0
     for k in range(len(centers)):
@@ -198,15 +166,9 @@ def _farthest(corner: NDArray[np.float64], corners: int) -> float:
 
 @jit
 def _shell(
-    points: NDArray[np.float64],
-    cx: float,
-    cy: float,
-    cz: float,
-    inner: float,
-    outer: float,
-    distance: NDArray[np.float64],
-    near: NDArray[np.int64],
-) -> int:
+    points: NDArray[np.float64], cx: float, cy: float, cz: float, inner: float, outer: float,
+    distance: NDArray[np.float64], near: NDArray[np.int64],
+) -> int:  # fmt: skip
     """Points with inner < distance <= outer, nearest first; `distance` receives their squares."""
     found = 0
     low = np.searchsorted(points[:, 0], cx - outer)
@@ -230,14 +192,9 @@ def _shell(
 
 @jit
 def _cut(
-    face: NDArray[np.float64],
-    new: int,
-    corner: NDArray[np.float64],
-    triple: NDArray[np.int32],
-    rim: NDArray[np.int32],
-    corners: int,
-    tolerance: float,
-) -> int:
+    face: NDArray[np.float64], new: int, corner: NDArray[np.float64], triple: NDArray[np.int32],
+    rim: NDArray[np.int32], corners: int, tolerance: float,
+) -> int:  # fmt: skip
     """Cut a cell by the plane `new`; returns the number of its corners, -1 if the arrays are too small."""
     nx, ny, nz, offset = face[new, 0], face[new, 1], face[new, 2], face[new, 3]
     kept = 0

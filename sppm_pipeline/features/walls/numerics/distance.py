@@ -1,8 +1,8 @@
 """Distance to the nearest face of Voronoi cells on a grid, cell by cell and row by row.
 
 Within the cell of pore 1 the distance is the minimum of ``(d_j^2 - d_1^2) / (2 |p_j - p_1|)`` over its neighbors j,
-each of them the distance from one plane, linear along a row. Elsewhere that minimum is negative, so the distance is the
-maximum over all cells, in any order.
+each of them the distance from one plane, linear along a row. Elsewhere that minimum is negative, so the distance is
+the maximum over all cells, in any order.
 """
 
 from __future__ import annotations
@@ -39,20 +39,13 @@ def raise_to_distance(
     threads: int = 1,
     first_layer: int = 0,
 ) -> None:
-    """Raise the samples in `cells` to their distance from the faces of their Voronoi cell.
+    """Raise the samples in `cells` to their distance from the faces of their Voronoi cell, whatever the number of
+    threads.
 
-    Parameters
-    ----------
-    out : (nz, ny, nx) float32, C-contiguous
-        The layers ``first_layer <= k < first_layer + nz`` of the grid, initially `UNCLAIMED`.
-    grid : Grid
-        In the unit of the cells.
-    cells : VoronoiCells
-    rounding : float
-        Radius of the fillets where faces meet: the distances from the faces are combined by `soft_minimum`.
-    threads : int
-        Number of threads; the result does not depend on it.
-    first_layer : int
+    `out` (nz, ny, nx) are the layers ``first_layer <= k < first_layer + nz`` of the grid, initially `UNCLAIMED`; the
+    grid is in the unit of the cells. `rounding` is the radius of the fillets where faces meet: distances v_j from the
+    faces become their soft minimum, the m with ``sum of max(m + radius - v_j, 0)^2 = radius^2``. For two orthogonal
+    walls its level sets are offsets of the walls with a circular fillet of that radius.
     """
     layers = len(out)
     if layers == 0 or len(cells.centers) == 0:
@@ -125,26 +118,12 @@ def _sorted_planes(
 
 @jit
 def _raise_cells(
-    out: NDArray[np.float32],
-    shape: tuple[int, int, int],
-    first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    centers: NDArray[np.float64],
-    first: NDArray[np.int64],
-    planes: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    rounding: float,
-    least: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    total: NDArray[np.float32],
-    slope: NDArray[np.float32],
-    lines: NDArray[np.float32],
-    own: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    room: NDArray[np.float64],
-) -> None:
+    out: NDArray[np.float32], shape: tuple[int, int, int], first_layer: int, origin: NDArray[np.float64],
+    spacing: NDArray[np.float64], centers: NDArray[np.float64], first: NDArray[np.int64], planes: NDArray[np.float64],
+    lower: NDArray[np.float64], upper: NDArray[np.float64], rounding: float, least: NDArray[np.float32],
+    shift: NDArray[np.float32], total: NDArray[np.float32], slope: NDArray[np.float32], lines: NDArray[np.float32],
+    own: NDArray[np.float64], inverse: NDArray[np.float64], room: NDArray[np.float64],
+) -> None:  # fmt: skip
     """Process every row of every cell; the arrays from `least` on are scratch."""
     nz, ny, nx = shape
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
@@ -204,14 +183,9 @@ def _near(
 
 @inline_jit
 def _add_rests(
-    total: NDArray[np.float32],
-    slope: NDArray[np.float32],
-    least: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    blocks: int,
-    value: np.float32,
-    step: np.float32,
-) -> None:
+    total: NDArray[np.float32], slope: NDArray[np.float32], least: NDArray[np.float32], shift: NDArray[np.float32],
+    blocks: int, value: np.float32, step: np.float32,
+) -> None:  # fmt: skip
     """Add the contribution of a plane to the sum and to its slope; `value` is that of the plane less the radius."""
     for i in range(np.uint64(blocks) << _SHIFT):
         rest = max(least[i] - shift[i] - value - step * np.float32(np.int32(i)), _ZERO)
@@ -239,15 +213,9 @@ def _lower(least: NDArray[np.float32], shift: NDArray[np.float32], blocks: int) 
 
 @inline_jit
 def _soften(
-    least: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    total: NDArray[np.float32],
-    slope: NDArray[np.float32],
-    lines: NDArray[np.float32],
-    count: int,
-    blocks: int,
-    radius: np.float32,
-) -> None:
+    least: NDArray[np.float32], shift: NDArray[np.float32], total: NDArray[np.float32], slope: NDArray[np.float32],
+    lines: NDArray[np.float32], count: int, blocks: int, radius: np.float32,
+) -> None:  # fmt: skip
     """Lower the minimum of some lines to their soft minimum, by Newton's method for a whole row at once.
 
     The sum of ``max(radius - (v_j - least) - s, 0)^2`` falls with s and is convex, so the steps from s = 0 to where it
@@ -270,20 +238,3 @@ def _soften(
         if _step(total, slope, shift, blocks) <= _TOLERANCE * radius * radius:
             break
     _lower(least, shift, blocks)
-
-
-def soft_minimum(values: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Minimum of the values along the last axis, rounded where others come within `radius` of it.
-
-    It is the m with ``sum of max(m + radius - v_j, 0)^2 = radius^2``: for two distances from orthogonal walls, its
-    level sets are offsets of the walls with a circular fillet of that radius. It commutes with adding a constant, does
-    not depend on the order of the values, and equals the minimum if no other value is within the radius.
-    """
-    least = values.min(-1)
-    if radius <= 0:
-        return np.asarray(least)
-    s = np.zeros_like(least)
-    for _ in range(50):
-        rest = np.maximum(radius - (values - least[..., None]) - s[..., None], 0)
-        s += ((rest**2).sum(-1) - radius**2) / (2 * rest.sum(-1))
-    return np.asarray(least - s)

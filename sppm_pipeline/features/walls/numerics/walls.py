@@ -39,15 +39,8 @@ _DIAGONAL = math.sqrt(3)
 class WallSampler:
     """Distances from walls and depths in tunnels of one tiling, on any grid.
 
-    Parameters
-    ----------
-    pieces : Pieces
-        Pores are points; tunnels are capsules of radius ``1 / mu``.
-    tiling : TilingArrays
-    rounding : float
-        Radius of the fillets where walls meet, cell sizes.
-    margin : float
-        Samples farther than this from a tunnel have the depth ``-margin``.
+    Pores of the pieces are points; tunnels are capsules of radius ``1 / mu``. `rounding` is the radius of the fillets
+    where walls meet, cell sizes; samples farther than `margin` from a tunnel have the depth ``-margin``.
     """
 
     def __init__(self, pieces: Pieces, tiling: TilingArrays, rounding: float, margin: float) -> None:
@@ -61,10 +54,9 @@ class WallSampler:
     def sample(
         self, grid: Grid, start: int, stop: int, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Sample the distance from the middle of the nearest wall and the depth in tunnels (negative outside).
-
-        Both (stop - start, ny, nx), in cell sizes, for the layers start <= k < stop. Outside of all cells there are no
-        walls; the distance is then the largest empty radius.
+        """Distance from the middle of the nearest wall, and depth in tunnels (negative outside), both (stop - start,
+        ny, nx), in cell sizes, for the layers start <= k < stop. Outside of all cells there are no walls; the distance
+        is then the largest empty radius.
         """
         nx, ny = grid.shape[:2]
         distance = np.full((stop - start, ny, nx), UNCLAIMED, np.float32)
@@ -164,21 +156,12 @@ def raise_to_depth(
     threads: int = 1,
     first_layer: int = 0,
 ) -> None:
-    """Raise samples to their depth in the nearest tunnel: its radius less the distance from its axis.
+    """Raise samples to their depth in the nearest tunnel: its radius less the distance from its axis, whatever the
+    number of threads.
 
-    Parameters
-    ----------
-    out : (nz, ny, nx) float32, C-contiguous
-        The layers ``first_layer <= k < first_layer + nz`` of the grid, initially ``-margin``.
-    grid : Grid
-    starts, ends : (m, 3) float64
-        Axes of the tunnels, in the unit of the grid; length zero is allowed.
-    radii : (m,) float64
-    margin : float
-        Samples farther than this from a tunnel stay as they are.
-    threads : int
-        Number of threads; the result does not depend on it.
-    first_layer : int
+    `out` (nz, ny, nx) are the layers ``first_layer <= k < first_layer + nz`` of the grid, initially ``-margin``, which
+    stays farther than `margin` from a tunnel; axes go from `starts` to `ends` (m, 3), in the unit of the grid, and may
+    have length zero, with `radii` (m,).
     """
     layers = len(out)
     if layers == 0 or len(starts) == 0:
@@ -195,19 +178,9 @@ def raise_to_depth(
 
 @inline_jit
 def _raise_row(
-    out: NDArray[np.float32],
-    at: int,
-    count: int,
-    x: np.float32,
-    step: np.float32,
-    y: np.float32,
-    z: np.float32,
-    ux: np.float32,
-    uy: np.float32,
-    uz: np.float32,
-    length: np.float32,
-    radius: np.float32,
-) -> None:
+    out: NDArray[np.float32], at: int, count: int, x: np.float32, step: np.float32, y: np.float32, z: np.float32,
+    ux: np.float32, uy: np.float32, uz: np.float32, length: np.float32, radius: np.float32,
+) -> None:  # fmt: skip
     """Raise ``out[at + i]`` to the radius less the distance of ``(x + i step, y, z)`` from a segment at the origin."""
     first = np.uint64(at)
     aside = y * uy + z * uz
@@ -220,16 +193,10 @@ def _raise_row(
 
 @jit
 def _raise_tunnels(
-    out: NDArray[np.float32],
-    shape: tuple[int, int, int],
-    first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    radii: NDArray[np.float64],
+    out: NDArray[np.float32], shape: tuple[int, int, int], first_layer: int, origin: NDArray[np.float64],
+    spacing: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64], radii: NDArray[np.float64],
     margin: float,
-) -> None:
+) -> None:  # fmt: skip
     """Visit the rows of the box around every tunnel, each over the samples that its capsule can reach."""
     nz, ny, nx = shape
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
@@ -286,7 +253,7 @@ def _wall_field(
     for i in range(np.uint64(len(distance))):
         a, b = distance[i] - half, depth[i]
         top, gap = max(a, b), abs(a - b)
-        # the larger of both, and above it where they are within `radius` of each other (`soft_minimum` of two)
+        # the larger of both, and above it where they are within `radius` of each other (soft minimum of two)
         rest = max(radius - gap, np.float32(0.0))
         other = radius + rest
         lift = np.float32(0.5) * (other - np.sqrt(max(np.float32(2.0) * radius * radius - (radius - rest) ** 2, 0.0)))
@@ -305,28 +272,19 @@ def _opening(distance: NDArray[np.float32], depth: NDArray[np.float32], radius: 
 def wall_field(
     distance: NDArray[np.float32], depth: NDArray[np.float32], half_thickness: float, rounding: float
 ) -> NDArray[np.float32]:
-    """Combine distance and depth to a field that is negative in walls.
+    """Combine distance from the middle of the nearest wall and depth in tunnels, of the same shape, to a field that is
+    negative in walls; `distance` is overwritten by it.
 
-    It is the larger of ``distance - half_thickness`` and `depth`, smooth where they meet.
-
-    Parameters
-    ----------
-    distance : float32, C-contiguous
-        Distance from the middle of the nearest wall; overwritten by the result.
-    depth : float32, of the same shape
-        Depth in tunnels, negative outside.
-    half_thickness : float
-    rounding : float
-        Radius of the rims of the openings; 0 for sharp ones.
+    It is the larger of ``distance - half_thickness`` and `depth`, smooth where they meet: `rounding` is the radius of
+    the rims of the openings, 0 for sharp ones.
     """
     _wall_field(distance.reshape(-1), depth.reshape(-1), np.float32(half_thickness), np.float32(rounding))
     return distance
 
 
 def opening(distance: NDArray[np.float32], depth: NDArray[np.float32], rounding: float) -> NDArray[np.float32]:
-    """Half thickness above which a point is solid, so that a porosity is a quantile of it; see `wall_field`.
-
-    `OPEN` in tunnels, which no wall closes. Overwrites `distance`.
+    """Half thickness above which a point is solid, so that a porosity is a quantile of it; see `wall_field`. `OPEN` in
+    tunnels, which no wall closes. Overwrites `distance`.
     """
     _opening(distance.reshape(-1), depth.reshape(-1), np.float32(rounding), OPEN)
     return distance
