@@ -14,41 +14,17 @@ Mask = TypeVar("Mask", NDArray[np.bool_], NDArray[np.uint8])
 
 
 class LooseParts(NamedTuple):
-    """The components that removing islands would take away.
-
-    Attributes
-    ----------
-    components : int
-        Their number.
-    at_boundary : int
-        How many of them have voxels in the first or last layer along some axis.
-    removed_share : float
-        Their share of the phase.
-    """
+    """The components that removing islands would take away."""
 
     components: int
-    at_boundary: int
-    removed_share: float
+    at_boundary: int  # those with voxels in the first or last layer along some axis
+    removed_share: float  # their share of the phase
 
 
 def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, True), connectivity: int = 6) -> Mask:
-    """A copy of a mask in which only the largest component of the phase is left.
+    """Copy a mask (nz, ny, nx), leaving only the largest component of the phase (anything but 0).
 
     On the torus this keeps a periodic cell periodic. Of several largest components the one with the first voxel stays.
-
-    Parameters
-    ----------
-    mask : (nz, ny, nx) bool or uint8
-        The phase; anything but 0 belongs to it.
-    periodic : 3 bools
-        Whether opposite faces are merged, along x, y, z.
-    connectivity : {6, 26}
-        Neighbors across faces, or across faces, edges and corners.
-
-    Returns
-    -------
-    (nz, ny, nx) array of the type of `mask`
-        With 0 in the removed voxels.
     """
     found = find_components(mask, periodic, connectivity)
     kept = np.array(mask, order="C")
@@ -57,21 +33,10 @@ def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, Tr
 
 
 def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int = 6) -> LooseParts:
-    """The components besides the largest, with labels that do not wrap: what the paper's rejection looks at.
+    """Components besides the largest, with labels that do not wrap: what the paper's rejection looks at.
 
     A cell is rejected if a loose part lies at its surface (`at_boundary` > 0): inside the cell it can be removed
     without a trace, at the surface that would break the match with the neighboring cell.
-
-    Parameters
-    ----------
-    mask : (nz, ny, nx) bool or uint8
-        The phase; anything but 0 belongs to it.
-    connectivity : {6, 26}
-        Neighbors across faces, or across faces, edges and corners.
-
-    Returns
-    -------
-    LooseParts
     """
     found = find_components(mask, (False, False, False), connectivity)
     total = int(found.sizes.sum())

@@ -16,27 +16,14 @@ def parts_of_layout(
     colors: tuple[int, int, int],
     tiling: TilingArrays,
 ) -> int:
-    """Number of connected parts of the graph of a layout, with the cells around it.
+    """Number of connected parts of the graph of a layout, with the cells around it; a pore without tunnels is one.
 
     On every pore center and tunnel axis the sum of the kernels is at least 1. Under a level below 1 all of them are
     void, so that in one part they lie in one component of the void.
 
-    Parameters
-    ----------
-    piece : (n,) int
-        Piece of each pore: interiors, then face patterns by axis and color.
-    edges, shift : (m, 2), (m, 3) int
-        Tunnels; those from an interior to a face have the shift 1 where they end on its high side.
-    interiors : int
-    colors : 3 ints
-        Number of interiors, and of face patterns of each axis.
-    tiling : TilingArrays
-        Which of them stand where.
-
-    Returns
-    -------
-    int
-        Parts; a pore without tunnels is one.
+    `piece` (n,) is that of each pore: interiors, then face patterns by axis and color; `colors` the number of interiors
+    and of face patterns of each axis. Tunnels `edges` (m, 2), `shift` (m, 3) from an interior to a face have the shift
+    1 where they end on its high side.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -24,25 +24,10 @@ def check_removal(
     finer: str = "finer pixels",
     error: type[DesignError] = DesignError,
 ) -> None:
-    """Refuse to remove much disconnected solid unless the user has asked for it.
+    """Refuse to remove a share of the solid from `MAX_REMOVAL` on, if `islands` is "auto".
 
-    Parameters
-    ----------
-    share : float
-        Share of the solid that is not connected to the largest component.
-    islands : {"auto", "remove", "keep"}
-        The option; only ``auto`` has a limit.
-    porosity : (before, after), optional
-        That of the part with and without this solid.
-    finer : str
-        What resolves thin walls better.
-    error : type
-        `Rejected` for a check of a draw.
-
-    Raises
-    ------
-    DesignError
-        From `MAX_REMOVAL` on.
+    `porosity` is that of the part with and without this solid, `finer` what resolves thin walls better, and the error
+    `Rejected` for a check of a draw.
     """
     if islands == "auto" and share >= MAX_REMOVAL:
         raise error(

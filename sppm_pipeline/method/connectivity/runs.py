@@ -50,50 +50,26 @@ class Runs(NamedTuple):
 
 
 def as_bytes(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A (nz, ny, nx) mask as contiguous bytes, without a copy where that is possible.
-
-    Raises
-    ------
-    ValueError
-        If the mask is not three-dimensional or neither bool nor uint8.
-    """
+    """A (nz, ny, nx) mask of bool or uint8 as contiguous bytes, without a copy where that is possible."""
     if mask.ndim != 3 or mask.dtype not in (np.dtype(np.bool_), np.dtype(np.uint8)):
         raise ValueError(f"a mask is (nz, ny, nx) of bool or uint8, not {mask.shape} of {mask.dtype}")
     return np.ascontiguousarray(mask).view(np.uint8)
 
 
 def neighbor_reach(connectivity: int) -> int:
-    """Voxels past the ends of a run that touch it in a neighboring row: 0 across faces (6), 1 across corners (26).
-
-    Raises
-    ------
-    ValueError
-        For any other connectivity.
-    """
+    """Voxels past the ends of a run that touch it in a neighboring row: 0 across faces (6), 1 across corners (26)."""
     if connectivity not in (6, 26):
         raise ValueError(f"connectivity is 6 (faces) or 26 (faces, edges, corners), not {connectivity}")
     return 0 if connectivity == 6 else 1
 
 
 def find_runs(mask: NDArray[np.uint8], zeros: bool = False) -> Runs:
-    """The runs of a mask.
-
-    Parameters
-    ----------
-    mask : (nz, ny, nx) uint8, C-contiguous
-        Anything but 0 is set.
-    zeros : bool
-        Find the runs of the voxels that are not set.
-
-    Returns
-    -------
-    Runs
-    """
+    """Runs of voxels of a mask (nz, ny, nx) that are not 0, or with `zeros` of those that are."""
     return runs_of_bits(pack(mask), mask.shape[2], zeros)
 
 
 def runs_of_bits(bits: NDArray[np.uint64], nx: int, zeros: bool = False) -> Runs:
-    """The runs of a mask (nz, ny, words), nx voxels in a row, see `numerics.bit_rows`; `zeros` as in `find_runs`."""
+    """The runs of a mask (nz, ny, words), nx voxels in a row, see `services.bit_rows`; `zeros` as in `find_runs`."""
     nz, ny, words = bits.shape
     rows = np.empty(nz * ny + 1, np.int64)
     each = np.ascontiguousarray(bits).reshape(nz * ny, words)

@@ -24,11 +24,6 @@ class SlabUnion:
 
     Call `add` for each slab in the order of z, then `finish` once. Kept are four bytes for each id, some forty for each
     component of a slab, and the runs of one layer.
-
-    Parameters
-    ----------
-    connectivity : {6, 26}
-        That of the slabs.
     """
 
     def __init__(self, connectivity: int = 6) -> None:
@@ -71,24 +66,7 @@ class SlabUnion:
         self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
 
     def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
-        """Decide what stays.
-
-        Parameters
-        ----------
-        keep : "largest" or float
-            See `IslandFilter.finish`.
-
-        Returns
-        -------
-        statistics : IslandStatistics
-        verdicts : list of (n_ids,) bool
-            For each slab, whether its ids stay; see `IslandFilter.decided`.
-
-        Raises
-        ------
-        ValueError
-            If the fraction is not in (0, 1].
-        """
+        """Decide what stays, as `IslandFilter.finish`; per slab a verdict on its ids for `IslandFilter.decided`."""
         parent = self._parent[: self._starts[-1]].copy()
         voxels = np.concatenate([np.zeros(0, np.int64), *self._voxels])
         boxes = np.concatenate([np.zeros((0, 6), np.int32), *self._boxes])

@@ -43,21 +43,11 @@ are 4 MB; not sensitive."""
 
 
 class _Loose(NamedTuple):
-    """Data of a layer for the second pass.
+    """Data of a layer for the second pass."""
 
-    Attributes
-    ----------
-    voxels : int
-        How many are set, so that another layer is noticed.
-    main : int
-        An id of the component that was the largest when the layer was seen; -1 if the layer is empty.
-    runs : (n, 4) int32
-        Row, first voxel, the one after the last, and id of each run of another component.
-    """
-
-    voxels: int
-    main: int
-    runs: NDArray[np.int32]
+    voxels: int  # how many are set, so that another layer is noticed
+    main: int  # an id of the component that was the largest when the layer was seen; -1 if the layer is empty
+    runs: NDArray[np.int32]  # (n, 4): row, first voxel, the one after the last, and id of each run of another component
 
 
 class IslandFilter:
@@ -65,13 +55,6 @@ class IslandFilter:
 
     Call `observe` for every slab in the order of z, `finish` once, then `clear` for every slab in the same order (the
     slabs may be cut differently). The result is that of labeling all layers at once.
-
-    Parameters
-    ----------
-    ny, nx : int
-        Size of a layer.
-    connectivity : {6, 26}
-        Neighbors across faces, or across faces, edges and corners.
     """
 
     def __init__(self, ny: int, nx: int, connectivity: int = 6) -> None:
@@ -139,17 +122,11 @@ class IslandFilter:
         return runs
 
     def observe(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> None:
-        """First pass: take in the next layers.
-
-        Parameters
-        ----------
-        slab : (nz, ny, nx) bool or uint8
-            Anything but 0 belongs to the phase.
-        """
+        """First pass: take in the next layers (nz, ny, nx), of which anything but 0 belongs to the phase."""
         self.observe_bits(pack(self._bytes(slab)))
 
     def observe_bits(self, slab: NDArray[np.uint64]) -> int:
-        """`observe` for bits, (nz, ny, words), see `numerics.bit_rows`; returns how many are set."""
+        """`observe` for bits, (nz, ny, words), see `services.bit_rows`; returns how many are set."""
         if self._verdict is not None:
             raise ValueError("observe comes before finish")
         total = 0
@@ -194,19 +171,7 @@ class IslandFilter:
     def finish(self, keep: Literal["largest"] | float = "largest") -> IslandStatistics:
         """Decide what stays; `clear` may follow.
 
-        Parameters
-        ----------
-        keep : "largest" or float
-            Keep the largest component only (the first of equals), or all that hold at least this fraction of the phase.
-
-        Returns
-        -------
-        IslandStatistics
-
-        Raises
-        ------
-        ValueError
-            If the fraction is not in (0, 1].
+        Kept is the largest component (the first of equals), or all that hold at least the fraction `keep` of the phase.
         """
         if self._verdict is not None:
             raise ValueError("finish comes once")
@@ -218,13 +183,7 @@ class IslandFilter:
         return statistics
 
     def labels(self) -> SlabLabels:
-        """End the first pass of a slab that is one of several; nothing else may follow.
-
-        Raises
-        ------
-        ValueError
-            If no layer was observed, or the first pass has ended already.
-        """
+        """End the first pass of a slab that is one of several; nothing else may follow."""
         if self._verdict is not None or not self._layers:
             raise ValueError("labels come once, after the layers of a slab")
         root = self._parent[: self._n_ids]
@@ -260,24 +219,9 @@ class IslandFilter:
     def clear(
         self, slab: NDArray[np.bool_] | NDArray[np.uint8], out: NDArray[np.uint8] | None = None
     ) -> NDArray[np.uint8]:
-        """Second pass: take the islands out of the next layers.
+        """Second pass: copy the next layers (nz, ny, nx) with 0 in the voxels of islands; `out` may be `slab` itself.
 
-        Parameters
-        ----------
-        slab : (nz, ny, nx) bool or uint8
-            The same layers, in the same order, as in the first pass.
-        out : (nz, ny, nx) uint8, C-contiguous, optional
-            Where the result goes; may be `slab` itself, which saves a copy.
-
-        Returns
-        -------
-        (nz, ny, nx) uint8
-            The slab with 0 in the voxels of islands.
-
-        Raises
-        ------
-        InputError
-            If the layers are not those of the first pass, as far as that shows.
+        An InputError says that the layers are not those of the first pass, as far as that shows.
         """
         layers = self._bytes(slab)
         bits = pack(layers)
@@ -290,7 +234,7 @@ class IslandFilter:
         return out
 
     def clear_bits(self, slab: NDArray[np.uint64]) -> None:
-        """`clear` for bits, (nz, ny, words), see `numerics.bit_rows`; in place."""
+        """`clear` for bits, (nz, ny, words), see `services.bit_rows`; in place."""
         if self._verdict is None:
             raise ValueError("clear comes after finish")
         if self._z + slab.shape[0] > self._layers:

@@ -11,64 +11,29 @@ from sppm_pipeline.method.connectivity.runs import Runs
 
 
 class IslandStatistics(NamedTuple):
-    """Statistics of the components, from the first pass.
-
-    Attributes
-    ----------
-    layers : int
-        Number of layers seen.
-    voxels : int
-        Voxels of the phase.
-    components : int
-        Number of connected components.
-    kept : int
-        How many of them stay.
-    largest_share : float
-        Fraction of the phase that is in the largest component.
-    removed_share : float
-        Fraction of the phase that is removed.
-    spans : 3 bools
-        Whether the largest component reaches, along x, y, z, from the first to the last voxel of the whole phase.
-    """
+    """Statistics of the components, from the first pass."""
 
     layers: int
-    voxels: int
+    voxels: int  # of the phase
     components: int
-    kept: int
-    largest_share: float
-    removed_share: float
+    kept: int  # components that stay
+    largest_share: float  # fraction of the phase in the largest component
+    removed_share: float  # fraction of the phase that is removed
+    # the largest component reaches, along x, y, z, from the first to the last voxel of the whole phase
     spans: tuple[bool, bool, bool]
 
 
 class SlabLabels(NamedTuple):
-    """Components of a slab that was labeled by itself, from the first pass.
-
-    Components are numbered in the order of their first voxels (z slowest).
-
-    Attributes
-    ----------
-    layers : int
-        Number of layers.
-    component : (n_ids,) int32
-        The component that each id belongs to.
-    voxels : (n,) int64
-        Voxels of each component.
-    boxes : (n, 6) int32
-        x low, x high, y low, y high, z low, z high of each; the highs are inclusive, z counts from the slab's first
-        layer.
-    first, last : Runs
-        The runs of the first and of the last layer.
-    of_first, of_last : (n_runs,) int32
-        The components of these runs.
-    """
+    """Components of a slab labeled by itself, from the first pass, in the order of their first voxels (z slowest)."""
 
     layers: int
-    component: NDArray[np.int32]
-    voxels: NDArray[np.int64]
+    component: NDArray[np.int32]  # (n_ids,), of each id
+    voxels: NDArray[np.int64]  # (n,), of each component
+    # (n, 6): x low, x high, y ..., z high; the highs are inclusive, z counts from the first layer
     boxes: NDArray[np.int32]
-    first: Runs
+    first: Runs  # runs of the first layer, and their components
     of_first: NDArray[np.int32]
-    last: Runs
+    last: Runs  # likewise of the last layer
     of_last: NDArray[np.int32]
 
 
@@ -79,29 +44,10 @@ def decide(
     layers: int,
     keep: Literal["largest"] | float,
 ) -> tuple[NDArray[np.bool_], IslandStatistics]:
-    """Which roots stay, and the statistics of the components.
+    """Roots that stay, (n,) bool, and the statistics of the components; `keep` as in `IslandFilter.finish`.
 
-    Parameters
-    ----------
-    root : (n,) int32
-        The root of each label, the smallest one of its component; smaller roots begin at earlier voxels.
-    voxels : (n,) int64
-    boxes : (n, 6) int32
-        Voxels and bounding boxes, gathered at the roots.
-    layers : int
-    keep : "largest" or float
-        See `IslandFilter.finish`.
-
-    Returns
-    -------
-    kept : (n,) bool
-        Whether a root stays.
-    statistics : IslandStatistics
-
-    Raises
-    ------
-    ValueError
-        If the fraction is not in (0, 1].
+    `root` (n,) is that of each label, the smallest one of its component; smaller roots begin at earlier voxels. Voxels
+    (n,) and bounding boxes (n, 6) are gathered at the roots.
     """
     if keep != "largest" and not 0 < keep <= 1:
         raise ValueError(f"the share of the phase that a kept component holds is in (0, 1], not {keep}")

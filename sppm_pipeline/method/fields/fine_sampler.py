@@ -56,21 +56,12 @@ class Span(NamedTuple):
 
 
 class FineSampler:
-    """A sum of kernels on one fine grid; what all layers need is prepared once, the last coarse planes are kept.
+    """A sum of kernels on one fine grid (cell sizes); what all layers need is prepared once.
 
-    Threads that ask for layers at once take turns.
-
-    The coarse grid has its origin at that of the lattice and divides the cells, and its samples are summed cell by
-    cell: a sample depends on its position alone, neither on the grid it belongs to nor on what else is asked for.
-
-    Parameters
-    ----------
-    field : KernelSum
-        What is sampled; it is not kept.
-    grid : Grid
-        The fine samples, cell sizes.
-    per_cell : int
-        Coarse samples along a cell edge.
+    The last coarse planes are kept; threads that ask for layers at once take turns. The coarse grid, with `per_cell`
+    samples along a cell edge, has its origin at that of the lattice and divides the cells, and its samples are summed
+    cell by cell: a sample depends on its position alone, neither on the grid it belongs to nor on what else is asked
+    for. The field is not kept.
     """
 
     def __init__(self, field: KernelSum, grid: Grid, per_cell: int) -> None:

@@ -32,21 +32,11 @@ class LevelField(WrappedField, KernelSum):
 
     Of a sum G of kernels the spline is ln C, and solid is where G < C. What is sampled is ``(G / C - 1)`` times the
     mean level, which has the same sign and is as smooth. Of any other field the spline is the value at which it is cut,
-    and is taken off.
-
-    Attributes
-    ----------
-    base : ScalarField
-        The field; not itself one with a level of its own.
-    control : (nx, ny, nz) float64
-        Control points in the middles of the cells: ln C, or values of the field.
-    per_cell : int
-        Control points along a cell edge, in the middles of as many parts, where cells of the structure are not those of
-        the lattice.
+    and is taken off. `base` is not itself a field with a level of its own.
     """
 
-    control: NDArray[np.float64]
-    per_cell: int = 1
+    control: NDArray[np.float64]  # (nx, ny, nz) in the middles of the cells: ln C, or values of the field
+    per_cell: int = 1  # control points along a cell edge where cells of the structure are not those of the lattice
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "control", frozen(np.asarray(self.control, np.float64)))

@@ -307,15 +307,8 @@ class PeriodicTile(WrappedField, KernelSum):
 def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], profile: str) -> Pieces:
     """Sort the kernels of all pores and tunnels by the piece they belong to.
 
-    Parameters
-    ----------
-    graph : TunnelGraph
-    omega : (n,) float64, 1 / cell edge^2
-        One for each pore.
-    mu : (m,) float64, 1 / cell edge^power of the profile
-        One for each tunnel.
-    profile : str
-        Name of the tunnels' profile.
+    `omega` (n,) is that of each pore, 1 / cell edge^2, `mu` (m,) that of each tunnel, 1 / cell edge^power of the
+    profile.
     """
     pores = graph.pores
     axis_of_piece = pores.axis_of_piece()

@@ -259,15 +259,9 @@ class WrappedField(ScalarField):
 
 @dataclass(frozen=True, eq=False)
 class CutField(WrappedField):
-    """A field less a constant: solid where the field is smaller than `value`.
+    """A field less a constant `value`, in the unit of the field: solid where the field is smaller.
 
     Made by `ScalarField.cut_at` of a field that has no parameter for it, such as a radius or a level.
-
-    Attributes
-    ----------
-    base : ScalarField
-    value : float
-        In the unit of the field.
     """
 
     value: float

@@ -19,18 +19,10 @@ class CleanedField(WrappedField):
 
     Islands were found on a voxel grid; a sample belongs to an island if its voxel, or one beside it that is not solid
     which stays, does. Inverting the sign keeps the field continuous, as it is zero where the island ends.
-
-    Attributes
-    ----------
-    base : ScalarField
-    floating : (nz, ny, nx) uint8
-        1 in voxels of islands and beside them, n voxels along a cell edge.
-    per_cell : int
-        n.
     """
 
-    floating: NDArray[np.uint8]
-    per_cell: int
+    floating: NDArray[np.uint8]  # (nz, ny, nx), 1 in voxels of islands and beside them
+    per_cell: int  # voxels along a cell edge
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "floating", frozen(np.asarray(self.floating, np.uint8)))
@@ -52,23 +44,11 @@ class CleanedField(WrappedField):
 
 @dataclass(frozen=True, eq=False)
 class RepeatedField(WrappedField):
-    """Any periodic field, taken as the content of a whole lattice.
+    """Any field that is periodic with one cell, taken as the content of a whole lattice."""
 
-    Attributes
-    ----------
-    base : ScalarField
-        Periodic with one cell.
-    extent : tuple of 3 ints
-        Cells of the lattice.
-    edge : float or None
-        Cell edge, mm.
-    origin : tuple of 3 floats
-        World position of the low corner of cell (0, 0, 0), mm.
-    """
-
-    extent: tuple[int, int, int]
-    edge: float | None
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    extent: tuple[int, int, int]  # cells of the lattice
+    edge: float | None  # of a cell, mm
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # world position of the low corner of cell (0, 0, 0), mm
 
     @property
     def cells(self) -> tuple[int, int, int]:

@@ -9,19 +9,12 @@ from numpy.typing import NDArray
 
 
 class ExpectedSize(NamedTuple):
-    """Size of a mesh that is about to be made, certain.
-
-    Attributes
-    ----------
-    vertices, faces : int
-    least, most : (2, 3) float64
-        Low and high corner of the box of its vertices: it reaches as far as the first, and no farther than the second.
-    """
+    """Size of a mesh that is about to be made, certain."""
 
     vertices: int
     faces: int
-    least: NDArray[np.float64]
-    most: NDArray[np.float64]
+    least: NDArray[np.float64]  # (2, 3): low and high corner; the box of the vertices reaches as far as this
+    most: NDArray[np.float64]  # and no farther than this
 
     def moved(self, scale: float, origin: NDArray[np.float64]) -> ExpectedSize:
         """Of the mesh times a scale, and moved by an origin."""
@@ -41,18 +34,10 @@ class PieceTaker(Protocol):
         """Return whether such a mesh can be taken in pieces; called before anything else, once for each try."""
 
     def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
-        """Take the next piece.
+        """Take the triangles (m, 3) of the next piece, all with corners among these points.
 
-        Parameters
-        ----------
-        points : (n, 3) float64
-            The vertices of the piece before, and of this one; they stay as they are until the call after the next one.
-        base : int
-            The number of the first of them.
-        known : int
-            How many of them are of the piece before.
-        faces : (m, 3) int32
-            Of this piece, all with corners among these points.
+        The points (n, 3) are the vertices of the piece before, `known` of them, and of this one, numbered from `base`
+        on; they stay as they are until the call after the next one.
         """
 
     def finish(self) -> bool:

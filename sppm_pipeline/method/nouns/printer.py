@@ -209,35 +209,18 @@ class Printer:
 
 @dataclass(frozen=True, kw_only=True)
 class Resin:
-    """A resin, at the layer height and on the printer it was measured with.
-
-    Attributes
-    ----------
-    name : str
-    density_g_ml : float
-    exposure_s : pair of floats
-        Of bottom layers and of the others.
-    bottom_layers : int
-    penetration_mm : float or None
-        Depth D_p at which light has fallen to 1/e.
-    cure_depth_mm : float or None
-        Depth C_d to which one exposure cures: D_p ln(E / E_c) (Jacobs 1992, working curve).
-    price_per_liter : float or None
-    source : str
-        Where these numbers were read.
-    measured : bool
-        False for a model, whose numbers are of a usual size only.
-    """
+    """A resin, at the layer height and on the printer it was measured with."""
 
     name: str
     density_g_ml: float = _within(0.5, 3)
-    exposure_s: Pair = _within(0.01, 600)
+    exposure_s: Pair = _within(0.01, 600)  # of bottom layers and of the others
     bottom_layers: int = _within(0, 1000)
-    penetration_mm: float | None = _within(0.001, 5, None)
+    penetration_mm: float | None = _within(0.001, 5, None)  # depth D_p at which light has fallen to 1/e
+    # C_d, to which one exposure cures: D_p ln(E / E_c) (Jacobs 1992, working curve)
     cure_depth_mm: float | None = _within(0.001, 5, None)
     price_per_liter: float | None = _within(0, 1e6, None)
-    source: str
-    measured: bool
+    source: str  # where these numbers were read
+    measured: bool  # False for a model, whose numbers are of a usual size only
 
     def contradiction(self) -> str | None:
         """Description of an impossible property of the resin; None if all are possible."""
@@ -256,23 +239,11 @@ class Cards:
     resins: Mapping[str, Resin]
 
     def printer(self, name: str) -> Printer:
-        """The printer of a name.
-
-        Raises
-        ------
-        ConfigError
-            With the names that are near.
-        """
+        """The printer of a name; an error names those that are near."""
         return _named(name, self.printers, "printer", "`sppm printers` lists them")
 
     def resin(self, name: str) -> Resin:
-        """The resin of a name.
-
-        Raises
-        ------
-        ConfigError
-            With the names that are near.
-        """
+        """The resin of a name; an error names those that are near."""
         return _named(name, self.resins, "resin", "`sppm printers --resins` lists them")
 
 
@@ -294,15 +265,7 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
 
 
 def cards(own: Path | None = None) -> Cards:
-    """The printers and resins of the program, and those of a file of the user's, which win.
-
-    Raises
-    ------
-    ConfigError
-        If the file can't be read.
-    InputError
-        If it is not one of cards; the message names card, entry and value.
-    """
+    """The printers and resins of the program, and those of a file of the user's, which win."""
     built_in = _built_in()
     if own is None:
         return built_in
@@ -319,10 +282,7 @@ def cut_for(
 ) -> tuple[Printer | None, tuple[float, float, float]]:
     """The printer of a slicer's options, and pixel pitch along x and y and layer height (mm).
 
-    Raises
-    ------
-    ConfigError
-        If the printer is unknown, or pixel pitch or layer height are not its own.
+    A ConfigError says that pixel pitch or layer height are not those of the printer.
     """
     if name is None:
         if own is not None:

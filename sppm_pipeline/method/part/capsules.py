@@ -16,22 +16,11 @@ Window = tuple[slice, slice, slice]
 def depths_in_capsules(
     grid: Grid, capsules: Sequence[Sequence[float]] | NDArray[np.float64], margin: float = 0.0
 ) -> Iterator[tuple[Window, NDArray[np.float32]]]:
-    """Depths of samples in each capsule, in windows that hold any.
+    """Windows (slices along z, y, x) that hold samples in capsules, with their depths (nz, ny, nx).
 
-    Parameters
-    ----------
-    grid : Grid
-    capsules : (n, 7) floats
-        Both ends (x, y, z) of the segment and the radius.
-    margin : float
-        Distance up to which samples outside are included.
-
-    Yields
-    ------
-    window : 3 slices
-        Along z, y, x of the grid.
-    depth : (nz, ny, nx) float32
-        Radius minus the distance from the segment, positive inside; the same bits however the grid is cut into layers.
+    Capsules (n, 7) are both ends (x, y, z) of a segment and the radius. Depths are the radius minus the distance from
+    the segment, positive inside, and include samples outside up to the margin; the same bits however the grid is cut
+    into layers.
     """
     rows = np.reshape(np.asarray(capsules, np.float64), (-1, 7))
     heights, reach = rows[:, [2, 5]], rows[:, 6] + margin

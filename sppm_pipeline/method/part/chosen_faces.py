@@ -78,17 +78,9 @@ def add_skin_on(
     inside: NDArray[np.uint8],
     solid: NDArray[np.uint8],
 ) -> None:
-    """Make voxels solid that are inside and whose center is within a distance of some triangles; in place.
+    """Make voxels solid that are inside and whose center is within a distance of some triangles (m, 3, 3); in place.
 
-    Parameters
-    ----------
-    triangles : (m, 3, 3) float64
-        Corners, in the unit of the grid.
-    grid : Grid
-        All layers, of which the arrays hold those from `start` on. How they are cut changes nothing.
-    start : int
-    thickness : float
-    inside, solid : (nz, ny, nx) uint8
+    The arrays (nz, ny, nx) hold layers of the grid from `start` on; how they are cut changes nothing.
     """
     heights, step, reach = triangles[:, :, 2], grid.spacing[2], thickness * SLACK
     low, high = grid.origin[2] + start * step - reach, grid.origin[2] + (start + len(solid)) * step + reach

@@ -15,23 +15,12 @@ _AT_NODE = 1e-6
 
 
 class Crossings(NamedTuple):
-    """Crossings of grid edges with triangles, sorted by edge, and by triangle on the same edge.
+    """Crossings of grid edges with triangles, sorted by edge, and by triangle on the same edge."""
 
-    Attributes
-    ----------
-    edge : (n,) int64
-        ``3 * node + axis``, where node (i, j, k) of the grid is ``(k * ny + j) * nx + i`` and the edge begins there.
-    share : (n,) float64
-        Place on the edge, from 0 at its node to 1 at the next.
-    triangle : (n,) int32
-    normals : (triangles, 3) float64
-        Unit normals; zero for a triangle without area.
-    """
-
-    edge: NDArray[np.int64]
-    share: NDArray[np.float64]
+    edge: NDArray[np.int64]  # ``3 * node + axis``; node (i, j, k), where the edge begins, is ``(k * ny + j) * nx + i``
+    share: NDArray[np.float64]  # place on the edge, from 0 at its node to 1 at the next
     triangle: NDArray[np.int32]
-    normals: NDArray[np.float64]
+    normals: NDArray[np.float64]  # of all triangles, (m, 3); zero without area
 
 
 NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty((0, 3)))
@@ -48,18 +37,9 @@ def unit_normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
 def grid_crossings(
     triangles: NDArray[np.float64], normals: NDArray[np.float64], grid: Grid, start: int, stop: int
 ) -> Crossings:
-    """The crossings of all grid edges that begin in the planes start <= k < stop.
+    """Crossings of all grid edges that begin in the planes start <= k < stop with triangles (m, 3, 3).
 
     Those of consecutive ranges of planes, one after the other, are those of the whole grid.
-
-    Parameters
-    ----------
-    triangles : (m, 3, 3) float64
-        Corners, in the unit of the grid.
-    normals : (m, 3) float64
-        Of the triangles, see `unit_normals`.
-    grid : Grid
-    start, stop : int
     """
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     heights = triangles[:, :, 2]

@@ -32,20 +32,8 @@ VOTED_LAYERS = 64
 class DomainSampler:
     """A domain on one grid: what all layers need is prepared once, and the last block of layers is kept.
 
-    Parameters
-    ----------
-    domain : SurfaceMesh
-        mm.
-    of : Grid
-        The grid as the caller knows it.
-    world : Grid
-        The same grid in mm.
-    skin_mm : float
-        Thickness of the skin; distances are needed up to it.
-    method : {"scanline", "winding", "vote"}
-        The inside test.
-    skin_faces : (n,) int32, optional
-        The triangles that have a skin; all of them if omitted.
+    `of` is the grid as the caller knows it, `world` the same in mm; distances are needed up to `skin_mm`, and from the
+    triangles `skin_faces` alone, if given.
     """
 
     def __init__(
@@ -86,7 +74,7 @@ class DomainSampler:
         return block[start - first : stop - first].copy()
 
     def inside_bits(self, start: int, stop: int) -> NDArray[np.uint64]:
-        """`inside` as bits, (stop - start, ny, words), see `numerics.bit_rows`."""
+        """`inside` as bits, (stop - start, ny, words), see `services.bit_rows`."""
         from sppm_pipeline.method.part.inside import prepare_inside
         from sppm_pipeline.method.part.ray_crossings import Scan
         from sppm_pipeline.method.part.scanline import scan_bits

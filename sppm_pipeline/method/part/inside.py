@@ -24,29 +24,14 @@ PROBED = 48
 
 
 class InsideTest(NamedTuple):
-    """The result of `inside_test`.
+    """The result of `inside_test`."""
 
-    Attributes
-    ----------
-    faces : (m, 3) int32
-        The triangles, wound outwards.
-    turned : int
-        How many of them were turned.
-    method : Method
-    closed : bool
-        Whether they bound a solid; then nothing is undecided.
-    undecided_share : float
-        Voxels about which the method is not sure, over those inside; at most 1.
-    disagreement : float
-        Voxels that winding number and vote see differently, over those that one of them calls inside.
-    """
-
-    faces: NDArray[np.int32]
-    turned: int
+    faces: NDArray[np.int32]  # (m, 3), wound outwards
+    turned: int  # triangles that were turned
     method: Method
-    closed: bool
-    undecided_share: float
-    disagreement: float
+    closed: bool  # they bound a solid; then nothing is undecided
+    undecided_share: float  # voxels about which the method is not sure, over those inside; at most 1
+    disagreement: float  # voxels that winding number and vote see differently, over those that one of them calls inside
 
 
 def way_for(closed: bool) -> Method:
@@ -55,15 +40,7 @@ def way_for(closed: bool) -> Method:
 
 
 def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Method | None = None) -> InsideTest:
-    """Wind a mesh outwards, choose its inside test, and estimate on a coarse grid how reliable that is.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    method : Method, optional
-        Instead of `way_for`.
-    """
+    """Wind a mesh outwards, choose its inside test unless given, and estimate on a coarse grid how reliable that is."""
     wound = orient(vertices, faces)
     closed = balanced_edges(wound.faces)
     chosen = method or way_for(closed)
@@ -94,19 +71,7 @@ def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method:
 def prepare_inside(
     vertices: ArrayLike, faces: ArrayLike, grid: Grid, method: Method = "scanline"
 ) -> Scan | SpannedScan | ThreeAxisScan:
-    """Sort the triangles of a mesh for `inside_layers`.
-
-    Parameters
-    ----------
-    vertices : (n, 3) floats
-        In the unit of the grid.
-    faces : (m, 3) integers
-        Wound outwards.
-    grid : Grid
-        The samples of the whole part.
-    method : Method
-        "scanline" is for meshes that bound a solid.
-    """
+    """Sort the triangles of a mesh, wound outwards, for `inside_layers`; "scanline" is for those that bound a solid."""
     if method == "scanline":
         return prepare_scan(vertices, faces, grid)
     if method == "winding":
@@ -132,25 +97,10 @@ def cells_touched(
     shape: tuple[int, int, int],
     closed: bool = True,
 ) -> NDArray[np.bool_]:
-    """The cells that contain a piece of the part: those met by a triangle, and those inside.
+    """Cells (nx, ny, nz) that contain a piece of the part: those met by a triangle, and those inside.
 
-    Of a triangle no larger than two cells, those met by its box: some may be listed in vain, and none is left out.
-
-    Parameters
-    ----------
-    vertices : (n, 3) floats
-    faces : (m, 3) integers
-        Wound outwards, if they bound a solid; others are turned first.
-    origin : (3,) float64
-        Low corner of cell (0, 0, 0).
-    edge : float
-    shape : tuple of 3 ints
-    closed : bool
-        Whether the mesh bounds a solid (`EdgeCounts.bounds_solid`).
-
-    Returns
-    -------
-    (nx, ny, nz) bool
+    Of a triangle no larger than two cells, those met by its box: some may be listed in vain, and none is left out. A
+    mesh that bounds a solid (`closed`, see `EdgeCounts.bounds_solid`) is wound outwards; others are turned first.
     """
     points = np.ascontiguousarray(vertices, np.float64)
     if not closed:

@@ -18,19 +18,7 @@ def _at_least(least: int, **counts: int) -> None:
 
 
 def box_mesh(center: Point, size: Point) -> Mesh:
-    """An axis-aligned box: 8 vertices, 12 triangles.
-
-    Parameters
-    ----------
-    center : 3 floats
-    size : 3 floats
-        Edge lengths.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    """
+    """An axis-aligned box: 8 vertices, 12 triangles."""
     corners = np.array([(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
     quads = np.array([(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
     return corners * np.asarray(size) + np.asarray(center), _split(quads)
@@ -48,19 +36,7 @@ def _wrap(rows: int, columns: int) -> NDArray[np.int32]:
 
 
 def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
-    """A ball: an icosahedron whose triangles are split in four `subdivisions` times; 20 * 4^s triangles.
-
-    Parameters
-    ----------
-    center : 3 floats
-    radius : float
-    subdivisions : int
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    """
+    """A ball: an icosahedron whose triangles are split in four `subdivisions` times; 20 * 4^s triangles."""
     _at_least(0, subdivisions=subdivisions)
     # the corners of an icosahedron lie on three golden rectangles
     golden = (1 + 5**0.5) / 2
@@ -93,19 +69,7 @@ def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
 
 
 def cylinder_mesh(center: Point, radius: float, height: float, segments: int = 64) -> Mesh:
-    """An upright prism with `segments` sides, inscribed in a cylinder along z; `center` is its middle.
-
-    Parameters
-    ----------
-    center : 3 floats
-    radius, height : float
-    segments : int
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    """
+    """An upright prism with `segments` sides, inscribed in a cylinder along z; `center` is its middle."""
     _at_least(3, segments=segments)
     angle = np.arange(segments) * (2 * np.pi / segments)
     circle = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -122,19 +86,8 @@ def cylinder_mesh(center: Point, radius: float, height: float, segments: int = 6
 def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, sides: int = 48) -> Mesh:
     """A torus around the z axis, `segments` along the ring and `sides` around the tube.
 
-    Parameters
-    ----------
-    center : 3 floats
-    radius : float
-        From the center to the middle of the tube.
-    tube : float
-        Radius of the tube; smaller than `radius`, or the mesh meets itself.
-    segments, sides : int
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
+    The radius goes from the center to the middle of the tube; a tube not smaller than it would make a mesh that meets
+    itself.
     """
     _at_least(3, segments=segments, sides=sides)
     around = (np.arange(segments) * (2 * np.pi / segments))[:, None]
@@ -147,26 +100,10 @@ def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, si
 
 
 def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points: int) -> NDArray[np.float64]:
-    """A closed curve that winds `turns[0]` times around the z axis and `turns[1]` times around the torus' ring.
+    """A closed curve (points, 3), `turns[0]` times around the z axis and `turns[1]` times around the torus' ring.
 
-    Parameters
-    ----------
-    turns : (int, int)
-        Without a common divisor, so that the curve is one.
-    radius, swing : float
-        Radii of the torus on which the curve lies: of the ring, and of the tube around it.
-    points : int
-        Number of points; the last is not the first again.
-
-    Returns
-    -------
-    (points, 3) float64
-        Around the origin.
-
-    Raises
-    ------
-    ValueError
-        If the turns have a common divisor or are not positive, or if there are fewer than 3 points.
+    It lies on a torus around the origin whose ring has `radius` and whose tube has `swing`. The turns have no common
+    divisor, so that the curve is one; the last point is not the first again.
     """
     around, through = turns
     if min(turns) < 1 or math.gcd(around, through) != 1:
@@ -190,23 +127,7 @@ def torus_knot_mesh(
     segments: int = 512,
     sides: int = 32,
 ) -> Mesh:
-    """A tube around a torus knot.
-
-    Parameters
-    ----------
-    center : 3 floats
-    turns, radius, swing
-        The curve, see `torus_knot_curve`.
-    tube : float
-        Radius of the tube.
-    segments, sides : int
-        Vertices along the curve and around the tube.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    """
+    """A tube around a `torus_knot_curve`, with `segments` vertices along the curve and `sides` around the tube."""
     _at_least(3, segments=segments, sides=sides)
     curve = torus_knot_curve(turns, radius, swing, segments)
     # central differences on a closed curve

@@ -23,25 +23,9 @@ _CHUNK = 16  # layers that share one list of triangles
 
 
 def as_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """A mesh in the types that the kernels are compiled for.
+    """A mesh (n, 3), (m, 3) in the types that the kernels are compiled for, C-contiguous float64 and int32.
 
-    Parameters
-    ----------
-    vertices : (n, 3) floats
-    faces : (m, 3) integers
-        Indices of vertices.
-
-    Returns
-    -------
-    vertices : (n, 3) float64, C-contiguous
-    faces : (m, 3) int32, C-contiguous
-
-    Raises
-    ------
-    InputError
-        If a coordinate is not finite or an index names no vertex.
-    ValueError
-        If the shapes are wrong.
+    An InputError names a coordinate that is not finite or an index that names no vertex.
     """
     points = np.ascontiguousarray(vertices, dtype=np.float64)
     raw = np.asarray(faces)
@@ -56,52 +40,22 @@ def as_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64],
 
 
 class Scan(NamedTuple):
-    """A mesh made ready for scanning; coordinates are in the order ray, row, layer.
-
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    starts : (chunks + 1,) int64
-        The triangles that may cut the layers of chunk c are listed from starts[c] to starts[c + 1].
-    listed : (starts[-1],) int32
-    origin, spacing : (3,) float64
-        Of the samples.
-    shape : tuple of 3 ints
-        Samples along ray, row, layer.
-    """
+    """A mesh made ready for scanning; coordinates are in the order ray, row, layer."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
+    # (chunks + 1,); the triangles that may cut the layers of chunk c are listed[starts[c] : starts[c + 1]]
     starts: NDArray[np.int64]
     listed: NDArray[np.int32]
-    origin: NDArray[np.float64]
+    origin: NDArray[np.float64]  # of the samples, as the spacing
     spacing: NDArray[np.float64]
-    shape: tuple[int, int, int]
+    shape: tuple[int, int, int]  # samples along ray, row, layer
 
 
 def prepare_scan(vertices: ArrayLike, faces: ArrayLike, grid: Grid, axis: int = 0) -> Scan:
-    """Sort the triangles of a mesh by layers.
+    """Sort the triangles of a mesh, wound outwards, by layers of a grid of samples (voxel centers) of the whole part.
 
-    Parameters
-    ----------
-    vertices : (n, 3) floats
-        In the unit of the grid. Vertices need not be merged.
-    faces : (m, 3) integers
-        Wound outwards.
-    grid : Grid
-        The samples (voxel centers) of the whole part.
-    axis : {0, 1, 2}
-        Direction of the rays. Rays along x make whole layers from contiguous rows.
-
-    Returns
-    -------
-    Scan
-
-    Raises
-    ------
-    InputError
-        If a coordinate is not finite or an index names no vertex.
+    Vertices need not be merged. Rays along x (axis 0) make whole layers from contiguous rows.
     """
     points, triangles = as_mesh(vertices, faces)
     # x: (x, y, z); y: (y, x, z), which mirrors, so that the winding is turned round; z: (z, x, y)
@@ -117,16 +71,10 @@ def prepare_scan(vertices: ArrayLike, faces: ArrayLike, grid: Grid, axis: int = 
 
 
 def ray_crossings(scan: Scan, start: int, stop: int) -> Iterator[tuple[int, int, NDArray[np.int64], NDArray[np.int64]]]:
-    """The crossings of layers start <= k < stop, chunk by chunk.
+    """Crossings of layers start <= k < stop, chunk by chunk: first layer, the one after the last, starts, and keys.
 
-    Yields
-    ------
-    first, last : int
-        The first layer of the chunk and the one after its last.
-    starts : ((last - first) * rows + 1,) int64
-    keys : (starts[-1],) int64
-        Those of row r are keys[starts[r] : starts[r + 1]], sorted; a key is twice the first sample behind the
-        crossing, plus 1 if the ray enters there.
+    The keys of row r are keys[starts[r] : starts[r + 1]], sorted; a key is twice the first sample behind the crossing,
+    plus 1 if the ray enters there.
     """
     n_ray, n_row, _ = scan.shape
     while start < stop:

@@ -17,42 +17,19 @@ from sppm_pipeline.services.jit.compiled import jit
 
 
 class Occupancy(NamedTuple):
-    """Some layers of an occupancy.
+    """Some layers of an occupancy."""
 
-    Attributes
-    ----------
-    mask : (nz, ny, nx) uint8
-        1 inside.
-    crossed_rays : int
-        Rays that meet the mesh.
-    open_rays : int
-        How many of them do not leave as often as they enter. 0 for a closed mesh that is wound consistently; the
-        caller decides from the fraction what is still acceptable.
-    undecided : int
-        Voxels about which rays or winding number are not of one mind.
-    """
-
-    mask: NDArray[np.uint8]
-    crossed_rays: int
-    open_rays: int
-    undecided: int = 0
+    mask: NDArray[np.uint8]  # (nz, ny, nx), 1 inside
+    crossed_rays: int  # rays that meet the mesh
+    open_rays: int  # those that do not leave as often as they enter; 0 for a closed mesh wound consistently
+    undecided: int = 0  # voxels about which rays or winding number are not of one mind
 
 
 def scan_layers(scan: Scan, start: int, stop: int) -> Occupancy:
-    """The occupancy of layers start <= k < stop, the same bit for bit however the part is cut into slabs.
+    """The occupancy of layers start <= k < stop by rays along x, bit for bit however the part is cut into slabs.
 
     A ray that does not close is filled only where the count from either end says inside, so that a hole in the mesh
     does not leak to the end of the row.
-
-    Parameters
-    ----------
-    scan : Scan
-        With rays along x.
-    start, stop : int
-
-    Returns
-    -------
-    Occupancy
     """
     n_ray, n_row, n_layer = scan.shape
     if not 0 <= start <= stop <= n_layer:
@@ -63,7 +40,7 @@ def scan_layers(scan: Scan, start: int, stop: int) -> Occupancy:
 
 
 def scan_bits(scan: Scan, start: int, stop: int) -> NDArray[np.uint64]:
-    """The mask of `scan_layers` as bits, (stop - start, ny, words), see `numerics.bit_rows`."""
+    """The mask of `scan_layers` as bits, (stop - start, ny, words), see `services.bit_rows`."""
     n_ray, n_row, n_layer = scan.shape
     if not 0 <= start <= stop <= n_layer:
         raise ValueError(f"layers {start} to {stop} are not among the {n_layer} of the grid")
@@ -83,25 +60,11 @@ def count_inside(
     ballots: bool = False,
     parity: bool = False,
 ) -> tuple[int, int]:
-    """Scan some layers into an array.
+    """Scan layers start <= k < stop, along the third axis of the scan; the numbers of crossed and of open rays.
 
-    Parameters
-    ----------
-    scan : Scan
-    start, stop : int
-        Layers of the scan (along the axis that is its third).
-    ray_start : int
-        The first sample along the ray that `out` holds.
-    out : (stop - start, rows, samples along the ray) uint8
-        Gets 1 where the counts from both ends of the ray say inside.
-    ballots : bool
-        Instead add to `out`: two where both ends say inside, one where one of them does.
-    parity : bool
-        Inside is where the number of crossings, whatever their sign, is odd.
-
-    Returns
-    -------
-    crossed_rays, open_rays : int
+    `out` (stop - start, rows, samples from `ray_start` on) gets 1 where the counts from both ends of the ray say
+    inside. With `ballots` two are added there instead, and one where one of them does. With `parity` inside is where
+    the number of crossings, whatever their sign, is odd.
     """
     crossed = opened = 0
     for first, last, starts, keys in ray_crossings(scan, start, stop):

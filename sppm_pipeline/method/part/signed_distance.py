@@ -1,10 +1,9 @@
-"""Signed distance of grid points from a triangle mesh, exact near the surface.
+"""Distance of grid points from a triangle mesh, exact near the surface; its sign is that of the voxels of layers.
 
 Every triangle writes its exact distance to the samples within two spacings of it; from there the nearest triangle is
 handed from sample to sample in eight sweeps, and each sample keeps the exact distance to the best triangle it was
 offered (closest-point propagation, as in Bridson 2015, "Fluid Simulation for Computer Graphics", chapter 4). Beyond the
-band a sample may miss its nearest triangle by a neighboring one, which errs by a small fraction of the spacing. The
-sign is that of the voxels of layers, from the same function; where shells overlap they count once.
+band a sample may miss its nearest triangle by a neighboring one, which errs by a small fraction of the spacing.
 """
 
 from __future__ import annotations
@@ -12,65 +11,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from sppm_pipeline.method.part.inside import Method, inside_layers, prepare_inside
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
 
 
-def signed_distance(
-    vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float, method: Method = "scanline"
-) -> NDArray[np.float32]:
-    """Distance of the samples of a grid from a closed mesh, negative inside, up to a reach.
-
-    Parameters
-    ----------
-    vertices : (n, 3) floats
-        In the unit of the grid.
-    faces : (m, 3) integers
-        Wound outwards.
-    grid : Grid
-    reach : float
-        Distances are sought up to here; what lies further off gets the reach itself, with its sign.
-    method : Method
-        Method of the inside test for the sign, see `prepare_inside`.
-
-    Returns
-    -------
-    (nz, ny, nx) float32
-    """
-    points = np.ascontiguousarray(vertices, np.float64)
-    nz = grid.shape[2]
-    distance = distance_layers(np.ascontiguousarray(points[np.asarray(faces, np.int64)]), grid, 0, nz, reach)
-    inside = inside_layers(prepare_inside(points, faces, grid, method), 0, nz).mask
-    if method != "scanline":
-        reach_bare_borders(distance, inside, 0, grid.spacing)
-    np.negative(distance, out=distance, where=inside.view(bool))
-    return distance
-
-
 def distance_layers(
     triangles: NDArray[np.float64], grid: Grid, start: int, stop: int, reach: float
 ) -> NDArray[np.float32]:
-    """Distance of the layers start <= k < stop of a grid from the nearest of some triangles, without a sign.
+    """Distance of the layers start <= k < stop of a grid from the nearest of some triangles (m, 3, 3), without a sign.
 
-    Up to a reach of one spacing the distances are exact, and so the same however a grid is cut into layers; farther
-    ones may differ in what closest-point propagation misses.
-
-    Parameters
-    ----------
-    triangles : (m, 3, 3) float64
-        Corners, in the unit of the grid.
-    grid : Grid
-    start, stop : int
-    reach : float
-        As in `signed_distance`.
-
-    Returns
-    -------
-    (stop - start, ny, nx) float32
+    What lies farther off than the reach gets the reach. Up to a reach of one spacing the distances are exact, and so
+    the same however a grid is cut into layers; farther ones may differ in what closest-point propagation misses.
     """
     nx, ny, nz = grid.shape
     step = grid.spacing[2]
@@ -98,16 +52,8 @@ def reach_bare_borders(
     """Measure from the border of the inside where it lies in a hole of the mesh, to half a spacing; in place.
 
     On the way to the nearest sample of the other kind one passes the border. If no triangle is as near as that sample,
-    there is none on the way.
-
-    Parameters
-    ----------
-    distance : (n, ny, nx) float32
-        From the triangles, without a sign.
-    inside : (below + n + above, ny, nx) uint8
-        With as many layers more below and above as lie within reach of the distances, or what there is.
-    below : int
-    spacing : tuple of 3 floats
+    there is none on the way. Distances (n, ny, nx) are without a sign; `inside` has as many layers more below and above
+    as lie within reach of the distances, or what there is.
     """
     from scipy.ndimage import distance_transform_edt
 

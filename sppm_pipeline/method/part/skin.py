@@ -34,29 +34,12 @@ def skin_layers(
     below: int,
     above: int,
 ) -> NDArray[np.uint8]:
-    """The skin of some layers: voxels inside whose center is within the thickness of the center of one outside.
+    """The skin of some layers, (n, ny, nx): voxels inside whose center is within the thickness of one outside.
 
-    Parameters
-    ----------
-    occupancy : (below + n + above, ny, nx) uint8
-        Anything but 0 is inside. Beyond the array everything is outside; so hand in `halo_layers` layers below and
-        above, or, at the ends of the part, what there is.
-    spacing : (float, float, float)
-        Of the voxels along x, y, z.
-    thickness : float
-        In the same unit; not negative. Below the spacing there is no skin.
-    below, above : int
-        Number of layers at the start and end that are only looked at.
-
-    Returns
-    -------
-    (n, ny, nx) uint8
-        1 in the skin. The same voxel for voxel however the part is cut into slabs.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range.
+    `occupancy` has `below` and `above` layers more, that are only looked at: `halo_layers` of them or, at the ends of
+    the part, what there is, as beyond the array everything is outside. Anything but 0 is inside. Spacing (along x, y,
+    z) and thickness are in one unit; below the spacing there is no skin. The same voxel for voxel however the part is
+    cut.
     """
     if occupancy.ndim != 3 or occupancy.dtype != np.uint8 or min(below, above) < 0:
         raise ValueError(f"an occupancy is (nz, ny, nx) uint8, not {occupancy.shape} of {occupancy.dtype}")

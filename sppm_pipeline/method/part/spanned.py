@@ -35,24 +35,12 @@ _OFF = (0.00131, -0.00173, 0.00097)  # keeps spanning triangles out of the plane
 
 
 class SpannedScan(NamedTuple):
-    """A mesh made ready for `spanned_layers`.
+    """A mesh made ready for `spanned_layers`."""
 
-    Attributes
-    ----------
-    scan : Scan
-        Of the mesh and the triangles that span its holes.
-    mesh : Dipoles
-    spans : Dipoles or None
-        None if there are no holes.
-    areas : (nodes,) float64
-        Area of the spanning triangles below each node.
-    grid : Grid
-    """
-
-    scan: Scan
+    scan: Scan  # of the mesh and the triangles that span its holes
     mesh: Dipoles
-    spans: Dipoles | None
-    areas: NDArray[np.float64]
+    spans: Dipoles | None  # None if there are no holes
+    areas: NDArray[np.float64]  # area of the spanning triangles below each node
     grid: Grid
 
 
@@ -63,18 +51,8 @@ def spanning_triangles(
 
     An edge is left over as often as it runs more in one direction than in the other. At every vertex as many of them
     arrive as leave, so whatever loops they make, triangles to any common point cancel each other's sides. The inside
-    does not depend on the point; it is a little off the middle, as a hole often lies in a plane of voxels.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) integers
-
-    Returns
-    -------
-    vertices : (n + loops, 3) float64
-        Those given, and a point near the middle of each boundary loop; loops that touch have one.
-    spans : (k, 3) int32
+    does not depend on the point; it is a little off the middle, as a hole often lies in a plane of voxels. Returned are
+    the vertices, with such a point for each boundary loop (one for loops that touch), and the triangles (k, 3).
     """
     triangles = np.asarray(faces, np.int64)
     ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
@@ -100,13 +78,7 @@ def spanning_triangles(
 
 
 def prepare_spanned(vertices: ArrayLike, faces: ArrayLike, grid: Grid) -> SpannedScan:
-    """Span the holes of a mesh, and sort its triangles; see `prepare_scan`.
-
-    Raises
-    ------
-    ValueError
-        If there is no triangle.
-    """
+    """Span the holes of a mesh, and sort its triangles; see `prepare_scan`."""
     points, triangles = as_mesh(vertices, faces)
     more, spans = spanning_triangles(points, triangles)
     scan = prepare_scan(more, np.concatenate([triangles, spans]), grid)

@@ -33,23 +33,12 @@ def prepare_three_axis(vertices: ArrayLike, faces: ArrayLike, grid: Grid) -> Thr
 def vote_layers(
     scan: ThreeAxisScan, start: int, stop: int, rule: Literal["winding", "parity"] = "winding"
 ) -> Occupancy:
-    """The occupancy of layers start <= k < stop by a vote of the three axes.
+    """The occupancy of layers start <= k < stop by a vote of the three axes; rays along z are counted with every slab.
 
-    Takes all triangles for every slab (the rays along z pass through all layers), so slabs should not be thin.
-
-    Parameters
-    ----------
-    scan : ThreeAxisScan
-    start, stop : int
-    rule : {"winding", "parity"}
-        "winding" trusts the orientation of the triangles and unites overlapping shells. "parity" does not look at it,
-        for meshes whose triangles are wound at random; where shells overlap it cuts them out.
-
-    Returns
-    -------
-    Occupancy
-        The rays of all three axes are counted; those along z with every slab. Undecided are voxels with two to four
-        of the six ballots.
+    Takes all triangles for every slab (the rays along z pass through all layers), so slabs should not be thin. The rule
+    "winding" trusts the orientation of the triangles and unites overlapping shells; "parity" does not look at it, for
+    meshes whose triangles are wound at random, and cuts out where shells overlap. Undecided are voxels with two to four
+    of the six ballots.
     """
     n_x, n_y, n_z = scan.x.shape
     if not 0 <= start <= stop <= n_z:

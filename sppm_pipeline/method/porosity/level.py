@@ -19,43 +19,17 @@ from sppm_pipeline.errors import DesignError
 
 
 class LevelFit(NamedTuple):
-    """A level and what it gives.
+    """A level and the porosity it gives."""
 
-    Attributes
-    ----------
-    level : float
-        C; representable in the type of the samples.
-    porosity : float
-        Fraction of the samples with G >= C, counted. Differs from the target by at most half a sample, unless many
-        samples share one value.
-    """
-
-    level: float
-    porosity: float
+    level: float  # C; representable in the type of the samples
+    porosity: float  # share of the samples with G >= C; off by at most half a sample, unless many are equal
 
 
 def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target: float) -> LevelFit:
-    """The level at which a requested fraction of the samples is void (G >= C).
+    """Level at which a fraction of samples of the kernel sum G (not G - C), of equal weight, is void (G >= C).
 
-    Parameters
-    ----------
-    samples : array of any shape, float32 or float64
-        The kernel sum G (not G - C) at points of equal weight, such as the voxel centers of a periodic cell.
-    target : float
-        Target porosity, between 0 and 1, both excluded.
-
-    Returns
-    -------
-    LevelFit
-        The level lies halfway between two neighboring sample values, so that rounding does not flip a voxel.
-
-    Raises
-    ------
-    DesignError
-        If the target is not in (0, 1), or if no positive level reaches it (the rest of the samples is beyond the reach
-        of every kernel).
-    ValueError
-        If there are no samples, or one is not finite.
+    It lies halfway between two neighboring sample values, so that rounding does not flip a voxel. A DesignError says
+    that no positive level reaches the target, as the rest of the samples is beyond the reach of every kernel.
     """
     found = cut_for_porosity(samples, target)
     if found.level <= 0.0:
@@ -88,26 +62,12 @@ def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target:
 
 
 class SearchResult(NamedTuple):
-    """The best that was found.
-
-    Attributes
-    ----------
-    x : float
-        The argument.
-    value : float
-        The function there.
-    met : bool
-        Whether the value is within the tolerance of the target.
-    bracketed : bool
-        Whether the values at the ends of the interval lie on both sides of the target (or on it).
-    evaluations : int
-        How often the function was called.
-    """
+    """The best argument found by `search_monotone`."""
 
     x: float
     value: float
-    met: bool
-    bracketed: bool
+    met: bool  # the value is within the tolerance of the target
+    bracketed: bool  # the values at the ends of the interval lie on both sides of the target, or on it
     evaluations: int
 
 
@@ -119,35 +79,12 @@ def search_monotone(
     tolerance: float,
     max_evaluations: int = 20,
 ) -> SearchResult:
-    """Find x in [low, high] with |function(x) - target| <= tolerance.
+    """Find x in [low, high] with |function(x) - target| <= tolerance, for a repeatable function.
 
     Regula falsi with the Illinois weights, guarded by bisection whenever two steps did not halve the bracket. So a
     smooth function takes a handful of evaluations, and a staircase (a porosity counted in voxels) no more than three
     times those of bisection. A function that is not monotone costs the guarantee, not the result: the best x that was
-    met is returned.
-
-    Parameters
-    ----------
-    function : callable
-        Repeatable: the same x gives the same value.
-    low, high : float
-        Interval, low < high.
-    target : float
-        Target value.
-    tolerance : float
-        How far from the target is near enough; not negative.
-    max_evaluations : int
-        Bound on the number of calls, at least 2.
-
-    Returns
-    -------
-    SearchResult
-        If the target is not bracketed, the better end of the interval after two evaluations.
-
-    Raises
-    ------
-    ValueError
-        If the interval is empty, the tolerance negative or the bound below 2.
+    met is returned. If the target is not bracketed, that is the better end, after two evaluations.
     """
     if not low < high or tolerance < 0 or max_evaluations < 2:
         raise ValueError(f"can't search [{low}, {high}] to {tolerance} in {max_evaluations} evaluations")

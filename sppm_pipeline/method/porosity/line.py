@@ -12,56 +12,22 @@ from sppm_pipeline.errors import DesignError
 
 
 class PorosityLine(NamedTuple):
-    """A fitted line; plain numbers, so that `PorosityLine(*values)` and `_asdict` carry it to a file and back.
+    """A fitted line; plain numbers, so that `PorosityLine(*values)` and `_asdict` carry it to a file and back."""
 
-    Attributes
-    ----------
-    slope : float
-        Porosity per pore.
-    intercept : float
-        Porosity at n = 0 (an extrapolation).
-    r_squared : float
-        Fraction of the variance of the porosity that the line explains.
-    residual_sd : float
-        Standard deviation of the residuals, with two degrees of freedom taken by the line; 0 for two samples.
-    largest_residual : float
-        Largest distance of a sample from the line.
-    n_min, n_max : int
-        Range of n that was fitted; the line says nothing beyond.
-    samples : int
-        Number of samples.
-    """
-
-    slope: float
-    intercept: float
-    r_squared: float
-    residual_sd: float
+    slope: float  # porosity per pore
+    intercept: float  # porosity at n = 0 (an extrapolation)
+    r_squared: float  # fraction of the variance of the porosity that the line explains
+    residual_sd: float  # two degrees of freedom are taken by the line; 0 for two samples
     largest_residual: float
-    n_min: int
+    n_min: int  # the line says nothing beyond the range that was fitted
     n_max: int
     samples: int
 
 
 def fit_line(n: ArrayLike, porosity: ArrayLike) -> PorosityLine:
-    """Fit the line by least squares.
+    """Fit the line by least squares to numbers of pores (m,) and porosities (m,).
 
-    Parameters
-    ----------
-    n : (m,) integers
-        Number of pores of each sample.
-    porosity : (m,) floats
-        Its porosity.
-
-    Returns
-    -------
-    PorosityLine
-
-    Raises
-    ------
-    ValueError
-        If the arrays differ in length or hold something that is not finite.
-    DesignError
-        If n does not vary, or if the porosity does not grow with it.
+    A DesignError says that n does not vary, or that the porosity does not grow with it.
     """
     count = np.asarray(n, dtype=np.float64)
     value = np.asarray(porosity, dtype=np.float64)
@@ -102,24 +68,9 @@ def predict_porosity(line: PorosityLine, n: float) -> float:
 
 
 def count_for_porosity(line: PorosityLine, porosity: float) -> int:
-    """The number of pores whose porosity on the line is nearest to a target.
+    """Number of pores whose porosity on the line is nearest to a target, within the range that was fitted.
 
-    Parameters
-    ----------
-    line : PorosityLine
-    porosity : float
-        Target porosity.
-
-    Returns
-    -------
-    int
-        Within the range that was fitted.
-
-    Raises
-    ------
-    DesignError
-        If the target lies off the fitted range by more than half a pore; the message names the range that can be
-        reached.
+    A target off that range by more than half a pore is a DesignError that names the porosities within reach.
     """
     n = (porosity - line.intercept) / line.slope
     if not line.n_min - 0.5 <= n <= line.n_max + 0.5:

@@ -14,12 +14,8 @@ _LAYERS = 16
 def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64]:
     """Points where lines between neighboring samples meet the zero level, (n, 3), x, y, z in steps of the grid.
 
-    Parameters
-    ----------
-    values : (nz, ny, nx) float32
-        NaN counts as positive. Beside a value that is not finite the level is taken to lie half way between samples.
-    periodic : bool
-        Whether opposite sides are neighbors.
+    NaN counts as positive; beside a value that is not finite the level is taken to lie half way between samples. If
+    periodic, opposite sides are neighbors.
     """
     found = []
     solid = values < 0
@@ -40,19 +36,11 @@ def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64
 
 
 def in_shell(values: NDArray[np.float32], thickness: float, periodic: bool, threads: int = 1) -> NDArray[np.bool_]:
-    """Which negative samples lie within a distance of the zero level, (nz, ny, nx).
+    """Negative samples within a distance (in steps of the grid) of the zero level, (nz, ny, nx) bool.
 
     Distances are those to the nearest point where the level meets a line of the grid, a little too long between
     such points: at a distance of d voxels by less than about 1 / (4 d) of a voxel, as half the diagonal of a voxel's
     face is the way to the next one.
-
-    Parameters
-    ----------
-    values : (nz, ny, nx) float32
-    thickness : float
-        In steps of the grid.
-    periodic : bool
-    threads : int
     """
     from scipy.spatial import cKDTree
 

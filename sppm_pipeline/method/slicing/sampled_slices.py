@@ -32,7 +32,7 @@ VOTED_PIXELS = 2**25
 
 
 BitSlab = tuple[int, NDArray[np.uint64]]
-"""Index of the first sheet of samples, and the sheets as bits, see `numerics.bit_rows`."""
+"""Index of the first sheet of samples, and the sheets as bits, see `services.bit_rows`."""
 
 
 class _Kept:
@@ -50,32 +50,15 @@ class SampledSlices(SliceStack):
 
     A subclass decides which samples are solid. Islands are removed in a pass ahead of the delivering one; the
     layers are kept in between, and from then on for other readers, so that nothing is evaluated twice.
-
-    Attributes
-    ----------
-    grid : Grid
-        Pixel centers of all layers, in the unit of the source.
-    pitch : tuple of 3 floats
-        Pixel pitch along x and y, layer height, mm.
-    lower : tuple of 3 floats
-        World position of the low corner of the stack, mm.
-    islands : {"auto", "remove", "keep"}
-        Treatment of disconnected solid; "auto" as `connectivity.removal` limits it.
-    subsamples : int
-        For gray layers: each pixel is sampled on k x k points, and its value is the solid fraction.
-    sublayers : int
-        For gray layers: so many heights of each layer are sampled.
-    machine : Printer or None
-        The printer that the layers are cut for.
     """
 
-    grid: Grid
-    pitch: tuple[float, float, float]
-    lower: tuple[float, float, float]
-    islands: str
-    subsamples: int = 1
-    sublayers: int = 1
-    machine: Printer | None = None
+    grid: Grid  # pixel centers of all layers, in the unit of the source
+    pitch: tuple[float, float, float]  # pixel pitch along x and y, layer height, mm
+    lower: tuple[float, float, float]  # world position of the low corner of the stack, mm
+    islands: str  # "auto", as `connectivity.removal` limits it, "remove" or "keep"
+    subsamples: int = 1  # for gray layers: each pixel is sampled on k x k points, its value is the solid fraction
+    sublayers: int = 1  # for gray layers: so many heights of each layer are sampled
+    machine: Printer | None = None  # the printer that the layers are cut for
     _kept: _Kept = field(default_factory=_Kept, init=False, compare=False, repr=False)
 
     @property
@@ -190,13 +173,7 @@ class SampledSlices(SliceStack):
         return None
 
     def removal(self, statistics: IslandStatistics, summary: dict[str, Any]) -> dict[str, Any]:
-        """Findings on the islands, known before the first layer is delivered.
-
-        Raises
-        ------
-        DesignError
-            If more is removed than the option `islands` allows.
-        """
+        """Findings on the islands, before the first layer; an error if more is removed than `islands` allows."""
         from sppm_pipeline.method.connectivity.removal import check_removal
 
         solid, share = statistics.voxels, statistics.removed_share
@@ -288,15 +265,9 @@ def summary_of(statistics: IslandStatistics) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FieldSlices(SampledSlices):
-    """Sections of a field; its unit is the cell size.
+    """Sections of a field; its unit is the cell size."""
 
-    Attributes
-    ----------
-    source : ScalarField
-        Has a physical size.
-    """
-
-    source: ScalarField
+    source: ScalarField  # has a physical size
 
     @property
     def unit_mm(self) -> float:
@@ -348,18 +319,10 @@ class FieldSlices(SampledSlices):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshSlices(SampledSlices):
-    """Sections of a mesh, in mm; shells that overlap are united.
+    """Sections of a mesh, in mm; shells that overlap are united."""
 
-    Attributes
-    ----------
-    source : SurfaceMesh
-        Wound outwards.
-    method : {"scanline", "winding", "vote"}
-        Method of the inside test.
-    """
-
-    source: SurfaceMesh
-    method: Method = "scanline"
+    source: SurfaceMesh  # wound outwards
+    method: Method = "scanline"  # of the inside test
 
     def _at_once(self) -> int:
         return VOTED_PIXELS if self.method == "vote" else SLAB_PIXELS

@@ -39,27 +39,14 @@ RESULTS_PER_WORKER = 2
 
 
 class SlabTask(NamedTuple):
-    """A slab for a worker.
+    """A slab for a worker."""
 
-    Attributes
-    ----------
-    start, stop : int
-        First sheet of samples, and the one after the last.
-    threads : int
-    file : str or None
-        Where the bits of the first pass lie or are to lie.
-    verdict : (n_ids,) bool or None
-        Whether ids stay, in the second pass; None to keep everything.
-    shown : tuple of int
-        Layers whose pixels are wanted, too.
-    """
-
-    start: int
-    stop: int
+    start: int  # first sheet of samples
+    stop: int  # the one after the last
     threads: int
-    file: str | None = None
-    verdict: NDArray[np.bool_] | None = None
-    shown: tuple[int, ...] = ()
+    file: str | None = None  # where the bits of the first pass lie or are to lie
+    verdict: NDArray[np.bool_] | None = None  # (n_ids,), whether ids stay, in the second pass; None to keep everything
+    shown: tuple[int, ...] = ()  # layers whose pixels are wanted, too
 
 
 class LabeledSlab(NamedTuple):
@@ -72,19 +59,10 @@ class LabeledSlab(NamedTuple):
 def slab_tasks(
     stack: SampledSlices, workers: int, threads: int, memory: int, folder: Path | None = None
 ) -> list[SlabTask]:
-    """Slabs of a stack, from the bottom.
+    """Slabs of a stack for workers of some threads each, from the bottom.
 
     They begin where the stack itself would begin one. Their height bounds the encoded layers that a worker hands back.
-
-    Parameters
-    ----------
-    stack : SampledSlices
-    workers, threads : int
-        Number of workers, and threads of each.
-    memory : int
-        Bytes to plan with.
-    folder : Path, optional
-        Where the bits of the first pass are kept, if the disk has room for them.
+    `memory` is in bytes; the bits of the first pass are kept in the folder, if the disk has room for them.
     """
     nx, ny, layers = stack.shape
     each = nx * ny if stack.gray else nx * ny / 8  # bytes of a layer that can't be compressed
@@ -135,17 +113,9 @@ def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -
 
 @dataclass(frozen=True)
 class IslandPass:
-    """Result of the first pass over all slabs.
+    """Result of the first pass over all slabs; `islands` and `summary` as in `SampledSlices.findings`."""
 
-    Attributes
-    ----------
-    tasks : tuple of SlabTask
-        The slabs for the second pass.
-    islands, summary : dict
-        See `SampledSlices.findings`.
-    """
-
-    tasks: tuple[SlabTask, ...]
+    tasks: tuple[SlabTask, ...]  # for the second pass
     islands: dict[str, Any]
     summary: dict[str, Any]
 
@@ -163,14 +133,7 @@ def find_islands(
 ) -> IslandPass:
     """Make the first pass by workers; the stack keeps the result for its next reader.
 
-    Parameters
-    ----------
-    stack : SampledSlices
-    tasks : sequence of SlabTask
-    run : function
-        Has workers call `label_slab` for each task, in order.
-    progress : function
-        Called with the number of slabs that are ready.
+    `run` has workers call `label_slab` for each task, in order; `progress` is called with the number of slabs ready.
     """
     from sppm_pipeline.method.connectivity.slab_union import SlabUnion
 

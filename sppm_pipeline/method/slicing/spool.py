@@ -46,15 +46,10 @@ def _kept(bits: NDArray[np.uint64]) -> NDArray[np.uint64] | _Words:
 
 
 class Spool:
-    """Slabs of bits, see `numerics.bit_rows`, in the order in which they came.
+    """Slabs of bits, see `services.bit_rows`, in the order in which they came.
 
     Evaluating a sample takes a nanosecond and more, and so does compressing its bit (zlib at its fastest, a quarter of
-    the size), so bits are not compressed.
-
-    Attributes
-    ----------
-    whole : bool
-        Whether all slabs that were handed over are there; not so once the disk had no room for one.
+    the size), so bits are not compressed. `whole` is False once the disk had no room for a slab.
     """
 
     def __init__(self) -> None:

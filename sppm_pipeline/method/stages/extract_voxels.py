@@ -14,13 +14,7 @@ from sppm_pipeline.services.grid import Grid, cell_centers
 
 
 def image_grid(resolution: int, cells: tuple[int, int, int]) -> Grid:
-    """Centers of the voxels of an image.
-
-    Raises
-    ------
-    ResourceError
-        If they are too many for an image.
-    """
+    """Centers of the voxels of an image; a ResourceError if they are too many."""
     grid = cell_centers(resolution, cells)
     if np.prod(grid.shape, dtype=float) > LARGEST_IMAGE:
         raise ResourceError(

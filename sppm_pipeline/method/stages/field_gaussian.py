@@ -111,10 +111,7 @@ class GaussianField(Stage):
     def _parameters(self, cell: Cell) -> tuple[float, float]:
         """Omega and mu in cell sizes, from whichever option is there.
 
-        Raises
-        ------
-        ConfigError
-            If omega or mu is given for a cell of physical size, which leaves its unit open.
+        An error if one is given for a cell of physical size, which leaves its unit open.
         """
         profile = TUNNEL_PROFILES[self.tunnel]
         return (

@@ -180,13 +180,7 @@ class ImplicitFill(Stage):
 
 
 def listed_triangles(path: Path, count: int) -> NDArray[np.int64]:
-    """The triangle numbers in a text file, between blanks, commas or line ends.
-
-    Raises
-    ------
-    InputError
-        If one is no number of a triangle.
-    """
+    """The triangle numbers in a text file, between blanks, commas or line ends."""
     words = content_of(path, MAX_LIST_BYTES).replace(b",", b" ").split()
     wrong = next((word for word in words if not (word.isdigit() and len(word) < 10 and int(word) < count)), None)
     if wrong is not None:

@@ -38,19 +38,7 @@ class _Bounded(io.BytesIO):
 
 
 class Archive:
-    """A ZIP archive in memory.
-
-    Parameters
-    ----------
-    data : bytes-like
-    name : str
-        How to call the file in messages.
-
-    Raises
-    ------
-    InputError
-        If it is no ZIP archive.
-    """
+    """A ZIP archive in memory; `name` is how to call the file in messages."""
 
     def __init__(self, data: bytes | memoryview | bytearray, name: str) -> None:
         self._name = name
@@ -68,22 +56,13 @@ class Archive:
         return _key(part) in self._parts
 
     def read(self, part: str, limit: int) -> bytes:
-        """A small part, whole.
-
-        Raises
-        ------
-        InputError
-            If it is missing, broken or has more than `limit` bytes.
-        """
+        """A small part, whole; an error if it is missing, broken or has more than `limit` bytes."""
         return b"".join(self.chunks(part, limit))
 
     def chunks(self, part: str, limit: int = LARGEST_PART) -> Iterator[bytes]:
         """The content of a part, piece by piece; its check sum is verified at the end.
 
-        Raises
-        ------
-        InputError
-            If it is missing, broken, or unpacks to more than a part of its kind does.
+        An error if it is missing, broken, or unpacks to more than a part of its kind does.
         """
         key = _key(part)
         if key not in self._parts:
@@ -143,13 +122,7 @@ def packed(piece: bytes | memoryview) -> Packed:
 
 
 def zipped(parts: Iterable[tuple[str, Iterable[Packed]]]) -> Iterator[bytes]:
-    """An archive of parts, each given by its name and its pieces, without times or other traces of the machine.
-
-    Raises
-    ------
-    DesignError
-        If the archive or a part would have 4 GiB or more.
-    """
+    """An archive of parts (name, pieces), below 4 GiB, without times or other traces of the machine."""
     directory = b""
     position, count = 0, 0
     for name, pieces in parts:

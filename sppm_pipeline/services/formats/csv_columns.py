@@ -25,25 +25,10 @@ _LONGEST_LINE = 1 << 16
 
 
 def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDArray[np.float64]:
-    """Numbers of named columns.
+    """Numbers of named columns, (rows, len(names)); with `gaps`, a field may be empty, which makes it NaN.
 
-    Parameters
-    ----------
-    path : Path
-        A text file whose first line names the columns; commas, semicolons, tabs or blanks separate them.
-    names : sequence of str
-        Upper and lower case are the same.
-    gaps : bool
-        Whether a field may be empty, which makes it NaN.
-
-    Returns
-    -------
-    (rows, len(names)) float64
-
-    Raises
-    ------
-    InputError
-        If a column is missing or there twice, a field is no number, or there are no rows or too many.
+    The first line names the columns, in any case; commas, semicolons, tabs or blanks separate them. An error names a
+    column that is missing or there twice, or a field that is no number.
     """
     require_file(path, LARGEST_FILE)
     with path.open(encoding="utf-8-sig", errors="replace") as file:

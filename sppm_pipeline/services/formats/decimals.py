@@ -25,16 +25,9 @@ _POWERS = 10 ** np.arange(19, dtype=np.int64)
 
 
 class Words(NamedTuple):
-    """The text before the first, second and third number of a row, and after the third.
+    """The text before the first, second and third number of a row, and after the third."""
 
-    Attributes
-    ----------
-    texts : (4, 2) uint64
-        Up to 16 characters each, the first one in the lowest byte.
-    lengths : (4,) int64
-    """
-
-    texts: NDArray[np.uint64]
+    texts: NDArray[np.uint64]  # (4, 2): up to 16 characters each, the first one in the lowest byte
     lengths: NDArray[np.int64]
 
     @classmethod

@@ -60,18 +60,9 @@ _ORDER = np.array([16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1,
 
 
 def deflated_rows(rows: NDArray[np.uint64], width: int) -> NDArray[np.uint8]:
-    """A zlib stream of the rows of a picture, one bit a pixel, each after the Up filter of PNG.
+    """A zlib stream of a picture with one bit a pixel, each row after the Up filter of PNG.
 
-    Parameters
-    ----------
-    rows : (h, words) uint64, C-contiguous
-        See `numerics.bit_rows`; the first row is the top one.
-    width : int
-        Pixels of a row.
-
-    Returns
-    -------
-    (n,) uint8
+    The rows (h, words), from the top, are bits as in `services.bit_rows`.
     """
     tokens, counts, check = _tokens(rows, -(-width // 8))
     lengths = code_lengths(_symbol_counts(counts), LONGEST_CODE)

@@ -26,53 +26,31 @@ T = TypeVar("T")
 
 
 class Written(NamedTuple):
-    """A mesh as the encoders need it.
+    """A mesh as the encoders need it, C-contiguous."""
 
-    Attributes
-    ----------
-    points : (n, 3) float32 or float64, C-contiguous
-    faces : (m, 3) int32, C-contiguous
-    largest : float
-        The largest absolute coordinate.
-    """
-
-    points: NDArray[np.floating]
+    points: NDArray[np.floating]  # (n, 3), float32 or float64
     faces: NDArray[np.int32]
-    largest: float
+    largest: float  # the largest absolute coordinate
 
 
 class InPieces(NamedTuple):
     """Encoder of a file whose mesh comes piece by piece: a head, vertices in front, faces behind.
 
-    Attributes
-    ----------
-    head : bytes
-    front : function
-        Of the points of the piece before and of this one, how many of them are known, and the triangles of this piece
-        with corners among these points, numbered from 0: bytes that follow upon those of the piece before.
-    back : function or None
-        Of the triangles of a piece, with corners numbered in the whole mesh: bytes that come behind all in front.
-    back_at : int or None
-        Where these begin; None if that is known at the end only.
-    fits : function
-        Of the largest absolute coordinate: whether this is the file that `encode` makes.
+    `front` makes the bytes that follow upon those of the piece before, of its points and those of this piece, how many
+    of them are known, and the triangles of this piece with corners among these points, numbered from 0. `back` makes
+    those behind all in front, of the triangles with corners numbered in the whole mesh.
     """
 
     head: bytes
     front: Callable[[NDArray[np.float64], int, NDArray[np.int32]], memoryview]
     back: Callable[[NDArray[np.int32]], memoryview] | None = None
-    back_at: int | None = None
+    back_at: int | None = None  # where these begin; None if that is known at the end only
+    # of the largest absolute coordinate: whether this is the file that `encode` makes
     fits: Callable[[float], bool] = np.isfinite
 
 
 def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Written:
-    """Check a mesh and bring its arrays into shape.
-
-    Raises
-    ------
-    ValueError
-        If the shapes are wrong, a coordinate is not finite or a face names a vertex that does not exist.
-    """
+    """Check a mesh and bring its arrays into shape."""
     points: NDArray[np.floating] = np.ascontiguousarray(vertices)
     if points.dtype != np.float32:
         points = points.astype(np.float64, copy=False)

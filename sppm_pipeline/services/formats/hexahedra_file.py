@@ -24,27 +24,16 @@ IGNORED = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", 
 
 
 class Hexahedra(NamedTuple):
-    """Elements of a file.
+    """Elements of a file."""
 
-    Attributes
-    ----------
-    points : (n, 3) float64
-        In the unit of the file.
-    elements : (m, 8) int64
-        Their corners, in VTK's order if the file is right.
-    """
-
-    points: NDArray[np.float64]
-    elements: NDArray[np.int64]
+    points: NDArray[np.float64]  # (n, 3) in the unit of the file
+    elements: NDArray[np.int64]  # (m, 8) corners, in VTK's order if the file is right
 
 
 def read_hexahedra(path: Path) -> Hexahedra:
     """Read the hexahedra of a VTU, VTK, Abaqus INP or Gmsh MSH file; of quadratic ones the corners.
 
-    Raises
-    ------
-    InputError
-        If there are none, too many, other solid elements beside them, or nodes that are no points.
+    An error says that there are none, too many, other solid elements beside them, or nodes that are no points.
     """
     require_file(path, LARGEST_FILE)
     reader = library(f"meshio.{READERS[path.suffix.lower()]}", "volume")

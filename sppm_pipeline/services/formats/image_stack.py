@@ -42,15 +42,7 @@ _HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
 
 
 def decode_tiff(data: bytes, name: str) -> VoxelImage:
-    """Read a TIFF file of one or many pages, and the size of its voxels in mm where it states all three edges.
-
-    Raises
-    ------
-    InputError
-        If it is no TIFF file, is cut, in color, or its pages differ in size.
-    ResourceError
-        If tifffile is not installed.
-    """
+    """Read a TIFF file of one or many pages, and the size of its voxels in mm where it states all three edges."""
     tifffile = library("tifffile", "images")
     hint = "is it cut off, in color, or compressed in a way that needs `pip install imagecodecs`?"
     with third_party_reader("tifffile", name, hint), tifffile.TiffFile(io.BytesIO(data)) as file:
@@ -123,13 +115,7 @@ def _require_bounded(page: Any, data: bytes, name: str) -> None:
 
 
 def read_folder(folder: Path) -> VoxelImage:
-    """Read all pictures of a folder, in order of the numbers in their names.
-
-    Raises
-    ------
-    InputError
-        If there are none, they have different endings or sizes, or one is no picture in gray.
-    """
+    """Read all pictures of a folder, in gray and of one size, in order of the numbers in their names."""
     files = [path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file()]
     endings = sorted({path.suffix.lower() for path in files})
     if len(endings) != 1:
@@ -147,14 +133,10 @@ def read_folder(folder: Path) -> VoxelImage:
 
 
 def encode_tiff(values: NDArray[Any], spacing: tuple[float, float, float] | None = None) -> bytes:
-    """A TIFF file with one page a layer, losslessly compressed.
+    """A TIFF file of values (nx, ny, nz) of bool, uint8 or float32, with one page a layer, losslessly compressed.
 
-    Parameters
-    ----------
-    values : (nx, ny, nz) bool, uint8 or float32
-    spacing : (sx, sy, sz), mm, optional
-        Edges of a voxel. Resolutions are per centimeter, a unit of TIFF; the distance of layers, for which TIFF has no
-        tag, stands in a description as ImageJ writes it, in the same unit.
+    Edges of a voxel are in mm. Resolutions are per centimeter, a unit of TIFF; the distance of layers, for which TIFF
+    has no tag, stands in a description as ImageJ writes it, in the same unit.
     """
     from PIL import Image
 

@@ -26,22 +26,14 @@ def encode(
 ) -> Iterator[bytes]:
     """An input file with the mesh, piece by piece; numbers in the file are one more than those in the arrays.
 
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    cells : (m, 4) or (m, 10) integers
-        Quadratic ones with mid-edge nodes in the order 01, 12, 02, 03, 13, 23, which is that of C3D10.
-    materials : (m,) integers
-        Each becomes an element set ``MATERIAL1``, ...; all elements together are ``SOLID``.
-    node_sets : mapping of name to numbers of nodes
-        In the order in which they shall be written; empty ones are left out.
-    standing : (n,) integers, optional
-        For each node its representative in a periodic cell. The displacements of every other node are then tied to it:
-        ``u(node) - u(representative) = sum over x, y, z of (copies apart) * u(REFX, REFY, REFZ)``, where the three
-        reference nodes, each in a set of that name, are added behind the last node. Component i of the node of axis j
-        is the displacement gradient du_i/dx_j times the edge of the cell along j.
-    comments : sequence of str
-        Lines at the top.
+    Quadratic cells (m, 10) have mid-edge nodes in the order 01, 12, 02, 03, 13, 23, which is that of C3D10. Each
+    material (m,) becomes an element set ``MATERIAL1``, ...; all elements together are ``SOLID``. Node sets are written
+    in the order of the mapping, empty ones left out; comments are lines at the top.
+
+    `standing` (n,) is for each node its representative in a periodic cell. The displacements of every other node are
+    then tied to it: ``u(node) - u(representative) = sum over x, y, z of (copies apart) * u(REFX, REFY, REFZ)``, where
+    the three reference nodes, each in a set of that name, are added behind the last node. Component i of the node of
+    axis j is the displacement gradient du_i/dx_j times the edge of the cell along j.
     """
     points, corners, materials = as_written(nodes, cells, materials)
     n, per_cell = len(points), corners.shape[1]
@@ -101,14 +93,7 @@ def stiffness_job(
 
     The stresses are forces on the reference nodes, whose displacements over the edges of the cell are then the mean
     strains. Prescribed displacements would not do: CalculiX leaves the forces of equations out of reaction forces.
-
-    Parameters
-    ----------
-    moduli : mapping of material to (Young's modulus, Poisson's ratio)
-    standing : (n,) integers
-        As `encode` takes it.
-    box : (2, 3) float
-        Low and high corner of the cell.
+    Materials map to (Young's modulus, Poisson's ratio); the box (2, 3) is the low and high corner of the cell.
     """
     edges = [float(edge) for edge in box[1] - box[0]]
     lines = []
@@ -130,30 +115,16 @@ def stiffness_job(
 def abaqus_constants(stiffness: NDArray[np.float64]) -> list[float]:
     """The 21 constants D1111, D1122, D2222, D1133, ... D2323 of Abaqus and CalculiX, column by column.
 
-    Parameters
-    ----------
-    stiffness : (6, 6)
-        Voigt order xx, yy, zz, yz, xz, xy.
+    The stiffness (6, 6) is in Voigt order xx, yy, zz, yz, xz, xy.
     """
     ordered = stiffness[np.ix_(_VOIGT, _VOIGT)]
     return [float(ordered[row, column]) for column in range(6) for row in range(column + 1)]
 
 
 def abaqus_card(name: str, stiffness: NDArray[np.float64], comments: list[str]) -> str:
-    """A ``*MATERIAL`` with ``*ELASTIC, TYPE=ANISO``, as Abaqus and CalculiX read it.
+    """A ``*MATERIAL`` with ``*ELASTIC, TYPE=ANISO``, as Abaqus and CalculiX read it, below lines of comments.
 
-    Parameters
-    ----------
-    name : str
-        Letters, digits, ``_`` and ``-``; begins with a letter.
-    stiffness : (6, 6)
-    comments : list of str
-        Lines above the card.
-
-    Raises
-    ------
-    ValueError
-        If the name would not be one.
+    The name has letters, digits, ``_`` and ``-``, and begins with a letter.
     """
     if not (name[:1].isalpha() and name.isascii() and name.replace("_", "").replace("-", "").isalnum()):
         raise ValueError(f"a material is named by letters, digits, _ and -, got {name!r}")

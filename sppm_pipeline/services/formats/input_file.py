@@ -16,13 +16,7 @@ from sppm_pipeline.errors import InputError, ResourceError
 
 
 def require_file(path: Path, limit: int) -> int:
-    """The size of a file in bytes; what is no file (a folder, a pipe, a device) is not waited for.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or has more than `limit` bytes.
-    """
+    """The size of a file of up to `limit` bytes; what is no file (a folder, a pipe, a device) is not waited for."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
@@ -64,13 +58,7 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 
 
 def library(module: str, extra: str) -> ModuleType:
-    """Import a library that an optional extra of this program installs.
-
-    Raises
-    ------
-    ResourceError
-        If it is not installed.
-    """
+    """Import a library that an optional extra of this program installs; a ResourceError if it is not there."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -84,14 +72,7 @@ def library(module: str, extra: str) -> ModuleType:
 def third_party_reader(module: str, name: str, hint: str | None = None) -> Iterator[None]:
     """Run a library that reads a file: it prints, warns and logs nothing, and whatever it raises is an InputError.
 
-    Parameters
-    ----------
-    module : str
-        The library, which is also the name of its logger.
-    name : str
-        How to call the file in messages.
-    hint : str, optional
-        What to do if it fails.
+    The module is also the name of its logger.
     """
     logger = logging.getLogger(module)
     before = logger.disabled

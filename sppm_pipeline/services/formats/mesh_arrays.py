@@ -83,13 +83,7 @@ def decoded(name: str, coordinates: array[float], corners: array[int]) -> Decode
 
 
 def require_sound(name: str, where: str, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> DecodedMesh:
-    """The arrays that a library made of a file, as float64 and int64.
-
-    Raises
-    ------
-    InputError
-        If a coordinate is not finite or a face names a vertex that does not exist.
-    """
+    """The arrays that a library made of a file, as float64 and int64, if finite and if all faces name vertices."""
     with np.errstate(invalid="ignore"):  # signaling NaN complain when they are converted
         points = np.ascontiguousarray(vertices, np.float64).reshape(-1, 3)
     finite = np.isfinite(points).all(axis=1)
@@ -116,12 +110,7 @@ def require_faces(name: str, faces: NDArray[np.integer]) -> None:
 def merge_equal(rows: NDArray[np.float32] | NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Find equal rows (n, 3), bit by bit: 0 and -0 differ.
 
-    Returns
-    -------
-    first : (k,) int64
-        The first row of each different one, in the order of appearance.
-    numbers : (n,) int32
-        Each row's number among the different ones.
+    The first row of each different one (k,), in the order of appearance, and each row's number among them (n,).
     """
     bits = np.ascontiguousarray(rows).view(np.uint32)
     numbers = np.empty(bits.shape[0], np.int32)
@@ -224,20 +213,7 @@ def require_few(name: str, placed: int, vertices: int, triangles: int) -> None:
 
 
 def place(name: str, meshes: Sequence[DecodedMesh], placed: Sequence[tuple[int, Matrix]]) -> DecodedMesh:
-    """One mesh of all copies, in their order; a copy that is mirrored keeps its outside.
-
-    Parameters
-    ----------
-    name : str
-        How to call the file in messages.
-    meshes : sequence of ((n, 3) float64, (m, 3) int64)
-    placed : sequence of (index of a mesh, transformation)
-
-    Raises
-    ------
-    InputError
-        If the copies are too many, or one is moved beyond all numbers.
-    """
+    """One mesh of all copies (index of a mesh, transformation), in their order; a mirrored copy keeps its outside."""
     vertices = sum(len(meshes[which][0]) for which, _ in placed)
     triangles = sum(len(meshes[which][1]) for which, _ in placed)
     require_few(name, len(placed), vertices, triangles)

@@ -28,17 +28,10 @@ def encode(
 ) -> Iterator[bytes]:
     """A file, piece by piece; numbers in the file are one more than those in the arrays.
 
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    cells : (m, 4) or (m, 10) integers
-        Quadratic ones with mid-edge nodes in the order 01, 12, 02, 03, 13, 23; they are rearranged.
-    materials : (m,) integers
-        Each becomes a volume and a physical group ``material1``, ...
-    surfaces : mapping of name to (k, 3) or (k, 6) integers
-        Triangles; each name becomes a surface and a physical group. Empty ones are left out.
-    copies : mapping of (name, name of the original) to (p, 2) integers, optional
-        Pairs of a node of a surface and the node of another that it is a copy of.
+    Quadratic cells (m, 10) have mid-edge nodes in the order 01, 12, 02, 03, 13, 23; they are rearranged. Each material
+    (m,) becomes a volume and a physical group ``material1``, ...; each name of triangles (k, 3) or (k, 6) a surface and
+    a physical group, unless empty. `copies` maps a surface and its original to pairs (p, 2) of a node and that which it
+    is a copy of.
     """
     points, corners, materials = as_written(nodes, cells, materials)
     if corners.shape[1] == 10:

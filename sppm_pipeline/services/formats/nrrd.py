@@ -27,15 +27,7 @@ _HINT = "the file was cut or damaged, or is of a kind that is not read; save it 
 
 
 def decode(data: bytes, name: str) -> VoxelImage:
-    """Read an image of three axes; the first axis of the file is x.
-
-    Raises
-    ------
-    InputError
-        If the header contradicts itself or the data, or is of a kind that is not read.
-    ResourceError
-        If pynrrd is not installed.
-    """
+    """Read an image of three axes; the first axis of the file is x."""
     nrrd = library("nrrd", "images")
     head = io.BytesIO(data[:_LONGEST_HEADER])
     with third_party_reader("nrrd", name, _HINT):
@@ -58,14 +50,7 @@ def decode(data: bytes, name: str) -> VoxelImage:
 
 
 def encode(values: NDArray[Any], spacing: tuple[float, float, float] | None = None) -> Iterator[bytes]:
-    """A file with raw data attached, piece by piece.
-
-    Parameters
-    ----------
-    values : (nx, ny, nz) uint8 or float32
-        The first axis of the file is x.
-    spacing : (sx, sy, sz), mm, optional
-    """
+    """A file with raw data attached, piece by piece, of values (nx, ny, nz) of uint8 or float32; spacing in mm."""
     kind = {"uint8": "uint8", "float32": "float"}[values.dtype.name]
     lines = ["NRRD0004", f"type: {kind}", "dimension: 3", f"sizes: {' '.join(map(str, values.shape))}"]
     if spacing is not None:

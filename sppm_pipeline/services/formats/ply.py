@@ -54,10 +54,6 @@ class _Element(NamedTuple):
     properties: list[_Property]
 
     @property
-    def has_lists(self) -> bool:
-        return any(entry.counter for entry in self.properties)
-
-    @property
     def min_bytes(self) -> int:
         """Bytes of one row, its lists being empty."""
         return sum(entry.size for entry in self.properties)
@@ -235,17 +231,10 @@ def _binary(
 
 
 class _Rows(NamedTuple):
-    """Rows of an element whose lists are of the same lengths.
-
-    Attributes
-    ----------
-    numbers : (n,) int64
-    values : (n,) structured
-        Fields ``p0``, ``p1`` ... are the properties, ``n0``, ``n1`` ... the lengths of lists.
-    """
+    """Rows of an element whose lists are of the same lengths."""
 
     numbers: NDArray[np.int64]
-    values: NDArray[Any]
+    values: NDArray[Any]  # fields ``p0``, ``p1`` ... are the properties, ``n0``, ``n1`` ... the lengths of lists
 
 
 def _row_type(element: _Element, order: str, lengths: Sequence[int]) -> np.dtype[Any]:
@@ -378,16 +367,7 @@ def encode(
 def in_pieces(vertices: int, faces: int, reach: tuple[float, float]) -> InPieces | None:
     """Encoder of a mesh of float64 with known numbers of vertices and faces, while it comes in pieces.
 
-    Parameters
-    ----------
-    vertices, faces : int
-    reach : (float, float)
-        Between these lies the largest absolute coordinate.
-
-    Returns
-    -------
-    InPieces or None
-        None if more of the mesh has to be known.
+    The largest absolute coordinate lies within `reach`. None if more of the mesh has to be known.
     """
     head = _head_of(vertices, faces, "double")
     return InPieces(

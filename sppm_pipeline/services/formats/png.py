@@ -34,32 +34,13 @@ def encode_layer(
     pixel_mm: tuple[float, float] | None = None,
     subpixels: bool = False,
 ) -> bytes:
-    """One layer as a grayscale PNG.
+    """One layer (h, w) as a grayscale PNG; row 0 is the top row.
 
-    Parameters
-    ----------
-    image : (h, w) uint8 or bool
-        Row 0 is the top row. With 8 bits the gray values, 0 black to 255 white (True is white); with 1 bit anything
-        but 0 is white.
-    bits : {1, 8}
-        Bits a pixel. Some printers want 8 even for binary layers.
-    level : int
-        0 stores, 1 compresses by run lengths (fast, right for layers), 2 to 9 are zlib's general levels (slower, and
-        smaller where a pattern repeats).
-    pixel_mm : (float, float), optional
-        Width and height of a pixel in mm, written as pixels per meter (rounded, as the format has integers there).
-    subpixels : bool
-        Write three neighboring pixels as the red, green and blue of one; the width is a multiple of three then.
-
-    Returns
-    -------
-    bytes
-        A whole PNG file.
-
-    Raises
-    ------
-    ValueError
-        For a wrong shape, type, number of bits, level or pixel size.
+    With 8 bits these are the gray values, 0 black to 255 white (True is white); with 1 bit anything but 0 is white.
+    Some printers want 8 bits even for binary layers. Level 0 stores, 1 compresses by run lengths (fast, right for
+    layers), 2 to 9 are zlib's general levels (slower, and smaller where a pattern repeats). Width and height of a pixel
+    (mm) are written as pixels per meter, rounded, as the format has integers there. `subpixels` writes three
+    neighboring pixels as the red, green and blue of one; the width is a multiple of three then.
     """
     if image.ndim != 2 or image.size == 0 or image.dtype not in (np.dtype(np.uint8), np.dtype(np.bool_)):
         raise ValueError(f"a layer is a non-empty (h, w) image of uint8 or bool, not {image.shape} of {image.dtype}")
@@ -92,14 +73,7 @@ def encode_layer(
 def encode_rows(rows: NDArray[np.uint64], width: int, pixel_mm: tuple[float, float] | None = None) -> bytes:
     """A layer of black and white that is there as bits: the same file as that of `encode_layer` with one bit.
 
-    Parameters
-    ----------
-    rows : (h, words) uint64, C-contiguous
-        Set where white, see `numerics.bit_rows`; row 0 is the top row.
-    width : int
-        Pixels of a row.
-    pixel_mm : (float, float), optional
-        As for `encode_layer`.
+    The rows (h, words), from the top, are set where white, see `services.bit_rows`.
     """
     return _file(width, len(rows), 1, _GRAYSCALE, deflated_rows(rows, width).data, pixel_mm)
 

@@ -164,11 +164,6 @@ def encode(
 
     Positions are rounded to float32; the normals are those of the rounded triangles, 0 for one without area. The unit
     is not recorded: STL has none. Same mesh, same bytes.
-
-    Raises
-    ------
-    DesignError
-        If the mesh has 2^32 triangles or more, or a coordinate beyond float32.
     """
     mesh = as_written(vertices, faces)
     require_float32(mesh, "STL")

@@ -16,19 +16,10 @@ _LONGEST_INDEX = 18  # digits of a vertex number
 
 
 class Lines:
-    """The lines of an ASCII file, each as its words; empty ones are skipped.
+    """The lines of an ASCII file from byte `start` on, each as its words; empty ones are skipped.
 
-    Parameters
-    ----------
-    data : bytes-like
-    name : str
-        How to call the file in messages.
-    comment : bytes
-        What begins a comment; empty if the format has none.
-    continued : bool
-        Whether a backslash at the end of a line continues it.
-    start : int
-        First byte to read.
+    `name` is how to call the file in messages, `comment` what begins a comment, empty if the format has none; lines may
+    be `continued` by a backslash at their end.
     """
 
     def __init__(

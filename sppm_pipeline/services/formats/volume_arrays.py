@@ -14,13 +14,7 @@ _CHUNK = 20000
 def as_written(
     nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.uint8]]:
-    """The arrays as the encoders need them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous.
-
-    Raises
-    ------
-    ValueError
-        If the shapes are wrong, a coordinate is not finite or a cell names a node that does not exist.
-    """
+    """The arrays as the encoders need them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous."""
     points = np.ascontiguousarray(nodes, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or cells.ndim != 2 or cells.shape[1] not in (4, 10):
         raise ValueError(f"a mesh is (n, 3) nodes and (m, 4) or (m, 10) cells, not {nodes.shape} and {cells.shape}")

@@ -19,15 +19,7 @@ ENDINGS = (".npy", ".tif", ".tiff", ".nrrd", ".vti")
 
 
 def read_image(path: Path, array: str | None = None) -> VoxelImage:
-    """Read an image of any kind that is known, or a folder of pictures; `array` names one of several in a .vti file.
-
-    Raises
-    ------
-    InputError
-        If it can't be read.
-    ResourceError
-        If the library that reads it is not installed.
-    """
+    """Read an image of any kind that is known, or a folder of pictures; `array` names one of several in a .vti file."""
     if path.is_dir():
         return image_stack.read_folder(path)
     ending = path.suffix.lower()
@@ -42,13 +34,7 @@ def read_image(path: Path, array: str | None = None) -> VoxelImage:
 
 
 def decode_npy(data: bytes, name: str) -> VoxelImage:
-    """Read a .npy file of a three-dimensional array of numbers, indexed x, y, z, without running what it may hide.
-
-    Raises
-    ------
-    InputError
-        If the file is no such array, is cut, or holds objects.
-    """
+    """Read a .npy file of a three-dimensional array of numbers, indexed x, y, z, without running what it may hide."""
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)

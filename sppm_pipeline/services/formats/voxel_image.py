@@ -17,31 +17,15 @@ CHUNK = 1 << 24
 
 
 class VoxelImage(NamedTuple):
-    """An image as it stands in a file.
+    """An image as it stands in a file."""
 
-    Attributes
-    ----------
-    values : (nx, ny, nz)
-        Any type of numbers, indexed x, y, z.
-    spacing : (sx, sy, sz) or None
-        Edges of a voxel in the unit of the file, where it says so.
-    origin : (x, y, z) or None
-        Low corner of the first voxel, where the file says so.
-    """
-
-    values: NDArray[Any]
-    spacing: tuple[float, float, float] | None
-    origin: tuple[float, float, float] | None = None
+    values: NDArray[Any]  # any type of numbers, indexed x, y, z
+    spacing: tuple[float, float, float] | None  # edges of a voxel in the unit of the file, where it says so
+    origin: tuple[float, float, float] | None = None  # low corner of the first voxel, where the file says so
 
 
 def checked_shape(shape: tuple[int, ...], itemsize: int, name: str) -> tuple[int, int, int]:
-    """The shape, if it is one of a voxel image that can be held.
-
-    Raises
-    ------
-    InputError
-        If it has not three axes, an empty one, or more than `LARGEST_IMAGE` bytes.
-    """
+    """The shape, if it is one of a voxel image that can be held: three axes, not empty, up to `LARGEST_IMAGE` bytes."""
     if len(shape) != 3:
         raise InputError(f"{name} has {len(shape)} axes; a voxel image has 3")
     if min(shape) < 1:

@@ -101,18 +101,7 @@ class _Header:
 def decode(data: bytes, name: str, array: str | None = None) -> VoxelImage:
     """Read an array of numbers of a .vti file; values at points are taken as those of voxels around them.
 
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        How to call the file in messages.
-    array : str, optional
-        Which array; needed if there are several of one component.
-
-    Raises
-    ------
-    InputError
-        If there is no such array, or the file contradicts itself.
+    `name` is how to call the file in messages; `array` is needed if there are several of one component.
     """
     header = _Header(name)
     header.read(data)

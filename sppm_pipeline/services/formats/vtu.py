@@ -29,14 +29,8 @@ def encode(
 ) -> Iterator[bytes]:
     """A VTU file, piece by piece: little-endian, 64-bit sizes, a cell array ``material``.
 
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    cells : (m, 4) or (m, 10) integers
-        Quadratic ones with mid-edge nodes in the order 01, 12, 02, 03, 13, 23, which is VTK's.
-    materials : (m,) integers
-    compress : bool
-        Compress the data with zlib; the bytes may then differ between versions of that library.
+    Quadratic cells (m, 10) have mid-edge nodes in the order 01, 12, 02, 03, 13, 23, which is VTK's. Data compressed
+    with zlib may differ between versions of that library.
     """
     points, corners, materials = as_written(nodes, cells, materials)
     return _encoded(points, corners, VTK_TYPES[corners.shape[1]], {"material": materials}, compress)
@@ -102,15 +96,7 @@ def _encoded(
 def encode_legacy(
     nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer]
 ) -> Iterator[bytes]:
-    """A legacy VTK file (version 3.0), piece by piece: big-endian, with a cell array ``material``.
-
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    cells : (m, 4) or (m, 10) integers
-        Quadratic ones with mid-edge nodes in the order 01, 12, 02, 03, 13, 23, which is VTK's.
-    materials : (m,) integers
-    """
+    """A legacy VTK file (version 3.0), piece by piece: big-endian, a cell array ``material``; see `encode`."""
     points, corners, materials = as_written(nodes, cells, materials)
     count, per_cell = corners.shape
     yield b"# vtk DataFile Version 3.0\ntetrahedra\nBINARY\nDATASET UNSTRUCTURED_GRID\n"

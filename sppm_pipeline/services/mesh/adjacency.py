@@ -23,44 +23,22 @@ NON_MANIFOLD = -2
 
 
 class Adjacency(NamedTuple):
-    """The result of `adjacency`.
+    """The result of `adjacency`."""
 
-    Attributes
-    ----------
-    opposite : (3 m,) int64
-        The other half-edge of the edge; `BOUNDARY` or `NON_MANIFOLD` if there is no single one.
-    fans : (3 m,) int64
-        The fan of each corner, numbered from 0 in the order of their first corners.
-    fan_count : int
-    surfaces : (m,) int64
-        The surface of each triangle, that is, what is connected across opposite half-edges, numbered likewise.
-    surface_count : int
-    non_manifold_vertices : int
-        Vertices with more than one fan: surfaces touch there, in the vertex alone or along a non-manifold edge.
-    """
-
-    opposite: NDArray[np.int64]
-    fans: NDArray[np.int64]
+    opposite: NDArray[np.int64]  # (3 m,): the other half-edge; `BOUNDARY` or `NON_MANIFOLD` if there is no single one
+    fans: NDArray[np.int64]  # (3 m,), of each corner, numbered from 0 in the order of their first corners
     fan_count: int
-    surfaces: NDArray[np.int64]
+    surfaces: NDArray[np.int64]  # (m,), what is connected across opposite half-edges, numbered likewise
     surface_count: int
-    non_manifold_vertices: int
+    non_manifold_vertices: int  # those with several fans: surfaces touch in the vertex, or along a non-manifold edge
 
 
 class BoundaryLoops(NamedTuple):
-    """The boundaries of the holes, each a closed loop of edges; a loop that touches itself is split there.
+    """The boundaries of the holes, each a closed loop of edges; a loop that touches itself is split there."""
 
-    Attributes
-    ----------
-    edges : (k,) int64
-        Number of edges of each loop.
-    lengths, sizes : (k,) float64
-        Length along the loop, and diagonal of its bounding box.
-    """
-
-    edges: NDArray[np.int64]
+    edges: NDArray[np.int64]  # number of edges of each loop
     lengths: NDArray[np.float64]
-    sizes: NDArray[np.float64]
+    sizes: NDArray[np.float64]  # diagonals of their bounding boxes
 
 
 def adjacency(faces: NDArray[np.integer]) -> Adjacency:

@@ -21,34 +21,16 @@ _LEAF = 4  # triangles in a leaf, at most
 
 
 class BoxTree(NamedTuple):
-    """The tree, and the triangles in its order.
+    """The tree, and the triangles in its order."""
 
-    Attributes
-    ----------
-    order : (m,) int64
-        Place i of the tree holds triangle order[i] of the mesh.
-    triangles : (m, 3, 3) float64
-        The corners, in the order of the tree.
-    boxes : (2 leaves - 1, 6) float64
-        Low and high corner of each node; a node without triangles has its low corner at infinity.
-    starts : (leaves + 1,) int64
-        Leaf k holds the places starts[k] to starts[k + 1].
-    """
-
-    order: NDArray[np.int64]
-    triangles: NDArray[np.float64]
-    boxes: NDArray[np.float64]
-    starts: NDArray[np.int64]
+    order: NDArray[np.int64]  # (m,): place i of the tree holds triangle order[i] of the mesh
+    triangles: NDArray[np.float64]  # (m, 3, 3) corners, in the order of the tree
+    boxes: NDArray[np.float64]  # (2 leaves - 1, 6), low and high corner; without triangles the low one is at infinity
+    starts: NDArray[np.int64]  # (leaves + 1,): leaf k holds the places starts[k] to starts[k + 1]
 
 
 def box_tree(triangles: NDArray[np.float64]) -> BoxTree:
-    """Build the tree of triangles (m, 3, 3) with finite coordinates.
-
-    Raises
-    ------
-    ValueError
-        If there is no triangle.
-    """
+    """Build the tree of triangles (m, 3, 3), at least one, with finite coordinates."""
     if triangles.shape[0] == 0:
         raise ValueError("a tree needs a triangle")
     # half the sum of low and high corner is in the box even where the full sum would overflow

@@ -49,32 +49,11 @@ def capped_marching_cubes(
     border: Border = "samples",
     axes: Axes = (True, True, True),
 ) -> Mesh:
-    """Closed surface of the solid in a box.
+    """Closed surface of the solid (below the level) in the box of a field (nz, ny, nx).
 
-    Parameters
-    ----------
-    field : (nz, ny, nx) float32
-        Samples; below the level is solid.
-    level, origin, spacing
-        See `marching_cubes`.
-    border : {"samples", "voxels"}
-        Where the box ends: at the outermost samples (a grid of nodes), or half a spacing further out (a grid of voxel
-        centers, whose outermost values then hold up to the border).
-    axes : 3 bools, x, y, z
-        Along which axes to cap; along the others the surface stays open and ends at the outermost samples.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-        A closed, oriented 2-manifold if all axes are capped.
-
-    Raises
-    ------
-    ValueError
-        If the field is not three-dimensional or has fewer than two samples along an axis.
-    ResourceError
-        If the surface has more than 2^31 - 1 vertices.
+    The box ends at the outermost samples, for a grid of nodes, or with `border` "voxels" half a spacing further out,
+    for a grid of voxel centers, whose outermost values then hold up to the border. Along axes (x, y, z) that are not to
+    be capped the surface stays open and ends at the outermost samples; else it is a closed, oriented 2-manifold.
     """
     if np.ndim(field) != 3 or min(np.shape(field)) < 2:
         raise ValueError(f"marching cubes need at least 2 x 2 x 2 samples, not an array of shape {np.shape(field)}")

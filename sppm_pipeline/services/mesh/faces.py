@@ -17,18 +17,9 @@ _LONG = 64
 
 
 def face_neighbors(tets: NDArray[np.integer]) -> NDArray[np.int32]:
-    """The tetrahedron behind each face.
+    """Tetrahedron behind the face opposite of each corner (m, 4); further nodes than four are ignored.
 
-    Parameters
-    ----------
-    tets : (m, 4 or more) integers
-        Corners; further nodes are ignored.
-
-    Returns
-    -------
-    (m, 4) int32
-        Behind the face opposite of each corner; `BOUNDARY` if there is none, `NON_MANIFOLD` if three or more tetrahedra
-        share the face.
+    `BOUNDARY` if there is none, `NON_MANIFOLD` if three or more tetrahedra share the face.
     """
     corners = _corners(tets)
     n = int(corners.max()) + 1 if corners.size else 0
@@ -49,14 +40,7 @@ def boundary_triangles(tets: NDArray[np.integer], neighbors: NDArray[np.int32]) 
 
 
 def components(neighbors: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
-    """Connected components of a mesh: cells that share faces.
-
-    Returns
-    -------
-    count : int
-    labels : (m,) int32
-        The part of each tetrahedron, numbered in the order of their first tetrahedra.
-    """
+    """Connected components of a mesh, cells that share faces: their number, and that of each cell (m,) in order."""
     count, labels = _components(np.ascontiguousarray(neighbors, np.int32))
     return int(count), labels
 

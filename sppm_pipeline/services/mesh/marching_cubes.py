@@ -266,28 +266,10 @@ def marching_cubes_slabs(
 ) -> Iterator[Mesh]:
     """`marching_cubes` of a field that arrives as consecutive slabs of planes, one piece of the mesh for each slab.
 
-    Parameters
-    ----------
-    slabs : iterable of (k, ny, nx) float32
-        Slabs in the order of z, without overlap; k may vary, ny and nx (at least 2) may not. A slab may be
-        overwritten once the next piece is asked for.
-    level, origin, spacing
-        See `marching_cubes`; the origin is the first sample of the first slab.
-
-    Yields
-    ------
-    vertices : (n, 3) float64
-        The new vertices; their numbers follow those of the pieces before.
-    faces : (m, 3) int32
-        Faces between this slab's planes and the plane before them, in vertex numbers of the whole mesh. The pieces,
-        concatenated, are what `marching_cubes` makes of the whole field.
-
-    Raises
-    ------
-    ValueError
-        If the slabs differ in ny or nx, or one is not three-dimensional.
-    ResourceError
-        If the surface has more than 2^31 - 1 vertices.
+    Slabs (k, ny, nx) come in the order of z, without overlap; k may vary, ny and nx (at least 2) may not. One may be
+    overwritten once the next piece is asked for. A piece is its new vertices (n, 3), whose numbers follow those of the
+    pieces before, and the faces (m, 3) between this slab's planes and the plane before them, in vertex numbers of the
+    whole mesh. The pieces, concatenated, are what `marching_cubes` makes of the whole field.
     """
     tables = case_tables()
     frame = np.array([*origin, *spacing], np.float64)
@@ -333,24 +315,11 @@ def marching_cubes_slabs(
 
 
 def joined_mesh(pieces: Iterable[Mesh], expected: Callable[[], tuple[int, int]] = lambda: (0, 0)) -> Mesh:
-    """The mesh whose vertices and faces come in pieces; the faces name vertices by their number in the whole mesh.
+    """Mesh whose vertices and faces come in pieces; the faces name vertices by their number in the whole mesh.
 
-    A list of pieces, concatenated at the end, would need the memory of two meshes.
-
-    Parameters
-    ----------
-    pieces : iterable of (vertices, faces)
-        (n, 3) float64 and (m, 3) int32 each.
-    expected : function
-        About how many vertices and faces there will be; asked when the first piece is there. Memory that is reserved
-        at once is mapped in large pages and so filled in less time; what is too little grows, what is too much is
-        given back untouched.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-        Both own their memory.
+    A list of pieces, concatenated at the end, would need the memory of two meshes. `expected` is asked for about how
+    many vertices and faces there will be when the first piece is there. Memory that is reserved at once is mapped in
+    large pages and so filled in less time; what is too little grows, what is too much is given back untouched.
     """
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
     n, m = 0, 0

@@ -26,19 +26,10 @@ _FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), 
 
 
 class CaseTables(NamedTuple):
-    """Triangles of every case.
+    """Triangles of every case; they turn counter-clockwise for a viewer in the void."""
 
-    Attributes
-    ----------
-    counts : (256,) uint8
-        Number of triangles.
-    triangles : (256, 3 * maximum) uint8
-        Edges of the cube on which the corners of the triangles lie, three a triangle, padded with zeros.
-        The triangles turn counter-clockwise for a viewer in the void.
-    """
-
-    counts: NDArray[np.uint8]
-    triangles: NDArray[np.uint8]
+    counts: NDArray[np.uint8]  # (256,) triangles
+    triangles: NDArray[np.uint8]  # (256, 3 * maximum): edges of the cube, three a triangle, padded with zeros
 
 
 def _edge(a: int, b: int) -> int:

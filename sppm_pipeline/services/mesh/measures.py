@@ -117,13 +117,7 @@ def components(faces: NDArray[np.integer]) -> tuple[int, NDArray[np.int32]]:
 
 
 def genus(faces: NDArray[np.integer]) -> int:
-    """Genus of a closed surface, all components together: components - Euler number / 2.
-
-    Raises
-    ------
-    ValueError
-        If the surface is not closed.
-    """
+    """Genus of a closed surface, all components together: components - Euler number / 2."""
     if not edge_counts(faces).closed:
         raise ValueError("only a closed surface has a genus")
     return components(faces)[0] - euler_number(faces) // 2
@@ -145,26 +139,14 @@ def surface_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> 
 def bounds(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest corner, (3,) each, of the box around the triangles; vertices without triangle are ignored.
-
-    Raises
-    ------
-    ValueError
-        If there is no triangle.
-    """
+    """Lowest and highest corner, (3,) each, of the box around the triangles; vertices without triangle are ignored."""
     return box_and_volume(vertices, faces)[:2]
 
 
 def box_and_volume(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """`bounds` and `volume` in one pass.
-
-    Raises
-    ------
-    ValueError
-        If there is no triangle.
-    """
+    """`bounds` and `volume` in one pass."""
     if faces.size == 0:
         raise ValueError("a mesh without triangles has no bounds")
     found = _sums_of(vertices, faces)

@@ -27,42 +27,20 @@ DECISIVE = 0.2
 
 
 class Orientation(NamedTuple):
-    """The result of `orient`.
+    """The result of `orient`."""
 
-    Attributes
-    ----------
-    faces : (m, 3) int32
-        The triangles, wound outwards as far as that could be determined.
-    turned : int
-        Triangles that were turned.
-    patches : int
-        Pieces within which agreement spreads.
-    one_sided : int
-        Patches that cannot be made to agree, as a Möbius strip.
-    """
-
-    faces: NDArray[np.int32]
-    turned: int
-    patches: int
-    one_sided: int
+    faces: NDArray[np.int32]  # wound outwards as far as that could be determined
+    turned: int  # triangles that were turned
+    patches: int  # pieces within which agreement spreads
+    one_sided: int  # patches that cannot be made to agree, as a Möbius strip
 
 
 class Shells(NamedTuple):
-    """The pieces of a closed mesh that share no vertex.
+    """The pieces of a closed mesh that share no vertex."""
 
-    Attributes
-    ----------
-    labels : (m,) int32
-        The piece of each triangle.
-    volumes : (k,) float64
-        Signed: negative where the normals point inwards.
-    around : (k,) int64
-        How often the other pieces go around the first corner of each piece.
-    """
-
-    labels: NDArray[np.int32]
-    volumes: NDArray[np.float64]
-    around: NDArray[np.int64]
+    labels: NDArray[np.int32]  # of each triangle
+    volumes: NDArray[np.float64]  # negative where the normals point inwards
+    around: NDArray[np.int64]  # how often the other pieces go around the first corner of each piece
 
     @property
     def cavities(self) -> NDArray[np.bool_]:
@@ -81,14 +59,7 @@ class Shells(NamedTuple):
 
 
 def shells(vertices: NDArray[np.float64], faces: NDArray[np.int32], tree: BoxTree | None = None) -> Shells:
-    """Tell the pieces of a mesh, (n, 3) and (m, 3), whose edges are balanced, and how they lie to each other.
-
-    Parameters
-    ----------
-    vertices, faces : arrays
-    tree : BoxTree, optional
-        Of the triangles; built if omitted and needed.
-    """
+    """Tell the pieces of a mesh, (n, 3) and (m, 3), whose edges are balanced, and how they lie to each other."""
     count, labels = components(faces)
     points = np.ascontiguousarray(vertices, np.float64)
     first, volumes = _volumes(read_only(points), read_only(np.ascontiguousarray(faces, np.int32)), labels, count)
@@ -106,11 +77,6 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientati
     A closed mesh is left alone but for its pieces that are inside out, or all of it if its volume is negative.
     Otherwise neighbors are made to agree, most of a patch's area deciding for the rest; then each patch is turned as a
     whole if that is clearly right.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
     """
     points, given = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32)
     wound = given.copy()

@@ -33,38 +33,18 @@ SNAP = COINCIDENT / 4
 
 
 class OuterSurface(NamedTuple):
-    """The result of `outer_surface`.
+    """The result of `outer_surface`."""
 
-    Attributes
-    ----------
-    triangles : (k, 3, 3) float64
-        Corners of the pieces.
-    owners : (k,) int64
-        The triangle of the mesh that each is a piece of.
-    volume : float
-        Of the union; not a number for a mesh that bounds no solid.
-    """
-
-    triangles: NDArray[np.float64]
-    owners: NDArray[np.int64]
-    volume: float
+    triangles: NDArray[np.float64]  # (k, 3, 3) corners of the pieces
+    owners: NDArray[np.int64]  # (k,), the triangle of the mesh that each is a piece of
+    volume: float  # of the union; not a number for a mesh that bounds no solid
 
 
 def outer_surface(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> OuterSurface | None:
     """Find the surface of what a mesh, wound outwards, encloses at least once.
 
     Of a mesh that bounds no solid, pieces are left out whose winding numbers in front and behind are both above one
-    half, or both below.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-
-    Returns
-    -------
-    OuterSurface or None
-        None if all triangles are surface: those of one shell that does not meet itself.
+    half, or both below. None if all triangles are surface: those of one shell that does not meet itself.
     """
     corners = np.ascontiguousarray(vertices, np.float64)[faces]
     tree = box_tree(corners)
@@ -120,14 +100,9 @@ def _numbers_at(tree: BoxTree, points: NDArray[np.float64], closed: bool) -> NDA
 
 
 def _meeting(tree: BoxTree, tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles that meet others beyond shared corners and edges, and these others, those of each in random order.
+    """Triangles that meet others beyond shared corners and edges, starts, and these others, in random order.
 
-    Returns
-    -------
-    meeting : (k,) int64
-    starts : (k + 1,) int64
-    partners : (starts[-1],) int64
-        Those of triangle meeting[i] are partners[starts[i] : starts[i + 1]].
+    Those of triangle meeting[i] are partners[starts[i] : starts[i + 1]].
     """
     pairs = np.empty((1024, 2), np.int64)
     while (found := int(_find_pairs(tree.triangles, tree.boxes, tree.starts, tolerance, pairs))) > len(pairs):

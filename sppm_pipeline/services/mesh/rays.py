@@ -18,23 +18,10 @@ SAMPLES = 100_000
 def layers_around(
     tree: BoxTree, labels: NDArray[np.int32], points: NDArray[np.float64], own: NDArray[np.int32]
 ) -> NDArray[np.int64]:
-    """Winding numbers of points on a mesh, each without the piece of the mesh that it lies on.
+    """Winding numbers of points (k, 3) on a mesh, each without the piece of the mesh that it lies on (-1 for none).
 
     The crossings of a ray along x are counted with their sign by exact predicates; so for closed pieces the result is
-    their winding number, and rays through edges and corners need no care.
-
-    Parameters
-    ----------
-    tree : BoxTree
-    labels : (m,) int32
-        The piece of each triangle of the mesh, numbered from 0.
-    points : (k, 3) float64
-    own : (k,) int32
-        The piece that each point lies on; -1 for none.
-
-    Returns
-    -------
-    (k,) int64
+    their winding number, and rays through edges and corners need no care. `labels` (m,) is the piece of each triangle.
     """
     places = np.ascontiguousarray(labels[tree.order], np.int32)
     return _layers(tree.triangles, tree.boxes, tree.starts, places, np.ascontiguousarray(points, np.float64), own)
@@ -43,22 +30,10 @@ def layers_around(
 def exits_along(
     tree: BoxTree, origins: NDArray[np.float64], directions: NDArray[np.float64], own: NDArray[np.int64], both: bool
 ) -> NDArray[np.float64]:
-    """Distance along rays to the first triangle.
+    """Distance along rays (k, 3), with directions of length 1, to the first triangle; infinity if none is hit.
 
-    Parameters
-    ----------
-    tree : BoxTree
-    origins, directions : (k, 3) float64
-        Directions of length 1.
-    own : (k,) int64
-        The triangle of the mesh that each ray starts on, which it does not hit.
-    both : bool
-        Whether triangles count that the ray meets from outside, too, or only those where it leaves the solid.
-
-    Returns
-    -------
-    (k,) float64
-        Infinity where nothing is hit.
+    `own` is the triangle of the mesh that each ray starts on, which it does not hit. Unless `both`, triangles count
+    only where the ray leaves the solid.
     """
     place = np.empty(len(tree.order), np.int64)
     place[tree.order] = np.arange(len(tree.order))
@@ -74,16 +49,9 @@ def exits_along(
 
 
 class WallThickness(NamedTuple):
-    """The result of `wall_thickness`.
+    """The result of `wall_thickness`."""
 
-    Attributes
-    ----------
-    thickness : (k,) float64
-        At points that stand for equal areas; infinity where a ray leaves nowhere.
-    points : (k, 3) float64
-    """
-
-    thickness: NDArray[np.float64]
+    thickness: NDArray[np.float64]  # at points that stand for equal areas; infinity where a ray leaves nowhere
     points: NDArray[np.float64]
 
     def quantile(self, share: float) -> float:
@@ -101,12 +69,6 @@ def wall_thickness(tree: BoxTree, samples: int = SAMPLES) -> WallThickness:
     Rays run along the inward normal from points spread evenly over the area, the same for the same mesh. Each ends
     where it first leaves the solid through another triangle. Where surfaces meet in a sharp edge the thickness goes to
     0, as it does in the solid; only the fraction of such area says how much of the solid that concerns.
-
-    Parameters
-    ----------
-    tree : BoxTree
-    samples : int
-        Number of points.
     """
     points, inwards, place = spread_points(tree.triangles, samples)
     return WallThickness(exits_along(tree, points, inwards, tree.order[place], False), points)
@@ -117,12 +79,8 @@ def spread_points(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Points spread evenly over the area of triangles (m, 3, 3), the same for the same triangles.
 
-    Returns
-    -------
-    points, inwards : (samples, 3) float64
-        The points, and the unit normals that point into the solid; (0, 3) if there is no area.
-    triangle : (samples,) int64
-        Which triangle each lies on.
+    The points and their unit normals into the solid, (samples, 3), and the triangle that each lies on; none without
+    area.
     """
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice = np.linalg.norm(normals, axis=1)

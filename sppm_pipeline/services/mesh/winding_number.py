@@ -20,19 +20,12 @@ FAR_RADII = 3.0
 
 
 class Dipoles(NamedTuple):
-    """A tree with what its nodes look like from afar.
-
-    Attributes
-    ----------
-    triangles, boxes, starts : arrays
-        Those of the `BoxTree`.
-    poles : (nodes, 7) float64
-        Middle by area (3), sum of the area vectors (3), and radius around the middle.
-    """
+    """A tree (see `BoxTree`) with what its nodes look like from afar."""
 
     triangles: NDArray[np.float64]
     boxes: NDArray[np.float64]
     starts: NDArray[np.int64]
+    # (nodes, 7): middle by area (3), sum of the area vectors (3), and radius around the middle
     poles: NDArray[np.float64]
 
 

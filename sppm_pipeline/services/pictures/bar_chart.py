@@ -25,34 +25,10 @@ class Panel(NamedTuple):
 def bars(
     labels: Sequence[str], panels: Sequence[Panel], path: str, *, title: str = "", marked: Collection[int] = ()
 ) -> bytes:
-    """Draw a row for each thing and a panel of bars for each measure, side by side.
+    """Draw a row for each label, from the top, and a panel of bars for each measure, side by side.
 
-    Each panel has a scale of its own that includes zero. Numbers stand beside the bars, a dash where there is none.
-
-    Parameters
-    ----------
-    labels : sequence of str
-        Names of the rows, from top to bottom; drawn as they are.
-    panels : sequence of Panel
-        From left to right.
-    path : str
-        Name of the file, of which the extension is used: .pdf, .png or .svg.
-    title : str
-        Text above all panels.
-    marked : collection of int
-        Rows that are drawn in another color.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    DesignError
-        If there is no row or no panel.
-    ValueError
-        If a panel has another number of values than there are labels.
+    Each panel has a scale of its own that includes zero. Numbers stand beside the bars, a dash where there is none. The
+    extension of the path is .pdf, .png or .svg; marked rows are drawn in another color.
     """
     from matplotlib.figure import Figure
 

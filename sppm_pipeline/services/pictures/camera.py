@@ -31,27 +31,13 @@ class Camera(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A camera that has been pointed at a part.
+    """A camera that has been pointed at a part."""
 
-    Attributes
-    ----------
-    axes : (3, 3) float64
-        Unit vectors right, up, and towards the viewer, as rows.
-    target : (3,) float64
-        The point that is looked at; the origin of view coordinates.
-    distance : float
-        Distance of the viewer from the target; 0 for the orthographic view.
-    scale : float
-        Pixels per unit of length at the target.
-    column, row : float
-        Where the target lands, in pixels; pixel (r, c) covers r..r+1 and c..c+1.
-    """
-
-    axes: NDArray[np.float64]
-    target: NDArray[np.float64]
-    distance: float
-    scale: float
-    column: float
+    axes: NDArray[np.float64]  # (3, 3) unit vectors right, up, and towards the viewer, as rows
+    target: NDArray[np.float64]  # the point that is looked at; the origin of view coordinates
+    distance: float  # of the viewer from the target; 0 for the orthographic view
+    scale: float  # pixels per unit of length at the target
+    column: float  # where the target lands, in pixels; pixel (r, c) covers r..r+1 and c..c+1
     row: float
 
 
@@ -64,29 +50,7 @@ def _view_coordinates(
 
 
 def framed(camera: Camera, points: NDArray[np.float64], size: tuple[int, int], margin: float = 0.04) -> Frame:
-    """Point a camera at points so that they fill the picture.
-
-    Parameters
-    ----------
-    camera : Camera
-        Direction of view.
-    points : (n, 3) float64
-        Points that have to be seen; at least one.
-    size : (width, height)
-        Size of the picture in pixels.
-    margin : float
-        Fraction of the picture left free on each side.
-
-    Returns
-    -------
-    Frame
-        The camera's place and scale.
-
-    Raises
-    ------
-    DesignError
-        If the elevation isn't within -90..90, the field of view not within 0..120 or the size below 1 pixel.
-    """
+    """Point a camera at points (n, 3) so that they fill a picture (width, height) but for a margin on each side."""
     if not -90.0 <= camera.elevation <= 90.0:
         raise DesignError(f"the elevation is {camera.elevation} degrees, allowed are -90 to 90")
     if not 0.0 <= camera.field_of_view <= 120.0:
@@ -130,21 +94,10 @@ def framed(camera: Camera, points: NDArray[np.float64], size: tuple[int, int], m
 
 
 def projected(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Place of points in the picture.
+    """Place of points (n, 3) in the picture: column and row in pixels, and nearness.
 
-    Parameters
-    ----------
-    frame : Frame
-        The camera.
-    points : (n, 3) float64
-        Points in space.
-
-    Returns
-    -------
-    (n, 3) float64
-        Column and row in pixels, and nearness: a number that is linear over a projected triangle and grows towards the
-        viewer (the coordinate towards the viewer itself in the orthographic view, else 1 / distance from the viewer's
-        plane).
+    Nearness is a number that is linear over a projected triangle and grows towards the viewer (the coordinate towards
+    the viewer itself in the orthographic view, else 1 / distance from the viewer's plane).
     """
     right, up, towards = _view_coordinates(points, frame.axes, frame.target)
     if frame.distance > 0.0:

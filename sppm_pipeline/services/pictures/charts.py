@@ -74,21 +74,11 @@ def chart(
 
 
 class Axis(NamedTuple):
-    """One of several charts over the same x.
+    """One of several charts over the same x."""
 
-    Attributes
-    ----------
-    series : sequence of Series
-        The first one is drawn at the bottom.
-    label : str
-        Text at the left of the axes.
-    log : bool
-        Whether the vertical axis is logarithmic.
-    """
-
-    series: Sequence[Series]
-    label: str
-    log: bool
+    series: Sequence[Series]  # the first one is drawn at the bottom
+    label: str  # text at the left of the axes
+    log: bool  # the vertical axis is logarithmic
 
 
 def charts_beside(
@@ -103,28 +93,8 @@ def charts_beside(
 ) -> bytes:
     """Draw series over the same x on axes side by side, with a common legend.
 
-    Parameters
-    ----------
-    panels : sequence of Axis
-        From left to right. Those of several have series of the same labels.
-    path : str
-        Name of the file, of which the extension is used: .pdf, .png or .svg.
-    title, x_label, legend : str
-        Texts above and below the axes, and above the entries of the legend.
-    log_x : bool
-        Whether the horizontal axis is logarithmic. Values that are not positive are left out on such axes.
-    size : (width, height)
-        Size of each chart in inches.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    ValueError
-        If the x, y and errors of a series differ in length.
+    Panels come from the left; series of several have the same labels. The extension of the path is .pdf, .png or .svg;
+    the size (width, height) of each chart is in inches. Values that are not positive are left out on logarithmic axes.
     """
     from matplotlib.figure import Figure
 

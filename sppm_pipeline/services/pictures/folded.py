@@ -12,22 +12,12 @@ _LINE = (200, 60, 60)
 
 
 def folded_sections(folded: NDArray[np.float64], mean: float, expected: float) -> NDArray[np.uint8]:
-    """Three sections of two by two cells, with the cells' borders and a scale around the mean.
+    """Three sections (height, width, 3) of two by two cells, with the cells' borders and a scale around the mean.
 
-    Parameters
-    ----------
-    folded : (nx, ny, nz) float64
-        Solid share of each voxel of the mean cell.
-    mean : float
-        Solid share of the assembly; its color is the middle of the scale, which ends at zero and at twice the mean.
-    expected : float
-        Standard deviation that the mean of independent cells would have; stated above the sections.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        From left to right the plane of the faces z = 0, with corners, edges and faces; the plane z = 1/2, with edges,
-        faces and the center; and the diagonal plane x = y, with all of them.
+    From left to right the plane of the faces z = 0, with corners, edges and faces; the plane z = 1/2, with edges, faces
+    and the center; and the diagonal plane x = y, with all of them. `folded` (nx, ny, nz) is the solid share of each
+    voxel of the mean cell, `mean` that of the assembly; its color is the middle of the scale, which ends at zero and at
+    twice the mean. `expected` is the standard deviation that the mean of independent cells would have, stated above.
     """
     n = folded.shape
     here, half = (0, n[2] - 1), ((n[2] - 1) // 2, n[2] // 2)

@@ -39,21 +39,12 @@ _RADII = (0.022, 0.11)  # of the height of the picture: the first for creases an
 
 
 class Seen(NamedTuple):
-    """Surface in each sample of a picture; (h, w) are its height and width times the supersampling.
+    """Surface in each sample of a picture; (h, w) are its height and width times the supersampling."""
 
-    Attributes
-    ----------
-    depth : (h, w) float32
-        Coordinate towards the viewer in samples (units of length times scale); -inf where nothing is seen.
-    normal : (h, w, 3) float32
-        Unit normal in the frame right, up, towards the viewer.
-    color : (h, w, 3) uint8
-        Color of the surface (sRGB).
-    """
-
+    # (h, w), coordinate towards the viewer in samples (length times scale); -inf where nothing is seen
     depth: NDArray[np.float32]
-    normal: NDArray[np.float32]
-    color: NDArray[np.uint8]
+    normal: NDArray[np.float32]  # (h, w, 3) in the frame right, up, towards the viewer
+    color: NDArray[np.uint8]  # (h, w, 3), sRGB
 
 
 def empty_seen(width: int, height: int) -> Seen:
@@ -290,16 +281,10 @@ LINEAR = _linear_light(np.arange(256) / 255.0).astype(np.float32)
 
 
 class Hidden(NamedTuple):
-    """Share of the sky hidden from each sample, 0 to 1.
+    """Share of the sky hidden from each sample (h, w), 0 to 1."""
 
-    Attributes
-    ----------
-    creases, pores : (h, w) float32
-        For what is hidden by something near, and by something farther away.
-    """
-
-    creases: NDArray[np.float32]
-    pores: NDArray[np.float32]
+    creases: NDArray[np.float32]  # by something near
+    pores: NDArray[np.float32]  # by something farther away
 
 
 def hidden_sky(seen: Seen, threads: int = 1) -> Hidden:
@@ -335,18 +320,7 @@ def check_background(background: Background) -> None:
 
 
 def on_background(light: NDArray[np.float32], background: Background) -> NDArray[np.uint8]:
-    """The picture in sRGB, of light (h, w, 4) as `lit` gives it.
-
-    Parameters
-    ----------
-    light : (h, w, 4) float32
-    background : Background
-        A word from `BACKGROUNDS`, one color, or ``"transparent"``.
-
-    Returns
-    -------
-    (h, w, 3) or, if transparent, (h, w, 4) uint8
-    """
+    """The picture in sRGB (h, w, 3), or (h, w, 4) if transparent, of light (h, w, 4) as `lit` gives it."""
     check_background(background)
     height, width = light.shape[:2]
     table = np.rint(255.0 * _coded_light(np.linspace(0.0, 1.0, 8192))).astype(np.uint8)

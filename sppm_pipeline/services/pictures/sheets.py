@@ -166,37 +166,12 @@ def layer_sheet(
     solid: Color = _SOLID,
     void: Color = _VOID,
 ) -> NDArray[np.uint8]:
-    """Show printing layers side by side.
+    """Show printing layers side by side, as they are printed, (h, w) with row 0 on top; gray values are mixed.
 
-    Parameters
-    ----------
-    layers : sequence of (h, w) bool or uint8
-        Images as they are printed, row 0 on top: true or 255 is solid, gray values are mixed.
-    labels : sequence of str, optional
-        One for each layer.
-    columns : int, optional
-        Layers in a row.
-    title : str
-        Line above all layers.
-    width : int
-        Width of the widest layer on the sheet in pixels. Larger layers are averaged down; smaller ones are enlarged by
-        the nearest whole factor, so that every pixel of a column is as wide as the others.
-    pixel : (float, float)
-        Pitch along x and y, of which the ratio counts: a round part is shown round.
-    solid, void : (r, g, b)
-        Colors of material and of nothing; white and black, as in the files of the layers.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        The sheet.
-
-    Raises
-    ------
-    DesignError
-        If there is no layer, or `width` or `columns` is below 1.
-    ValueError
-        If a layer hasn't two axes, or the number of labels differs.
+    `width` is that of the widest layer on the sheet in pixels. Larger layers are averaged down; smaller ones are
+    enlarged by the nearest whole factor, so that every pixel of a column is as wide as the others. Of the `pixel` pitch
+    along x and y the ratio counts: a round part is shown round. Colors are white and black, as in the files of the
+    layers.
     """
     from PIL import Image  # only sheets need Pillow
 
@@ -261,21 +236,8 @@ def annotated(
 ) -> NDArray[np.uint8]:
     """A picture with the directions of the axes at its lower left, and a scale bar at its lower right.
 
-    Parameters
-    ----------
-    picture : (h, w, 3) or (h, w, 4) uint8
-    frame : Frame
-        Of the camera; the bar is as long as it says at the middle of the part.
-    unit_mm : float or None
-        Unit of length of the frame, mm; None for cells without a physical size.
-    bar : bool
-        Whether there is a scale bar.
-    dark : bool
-        Whether the background is dark.
-
-    Returns
-    -------
-    array of the shape of `picture`
+    The bar is as long as the frame says at the middle of the part; `unit_mm` is the frame's unit of length, None for
+    cells without a physical size. `dark` is the background.
     """
     from PIL import Image
 
