@@ -88,19 +88,11 @@ def cell_nodes(n: int, cells: tuple[int, int, int] = (1, 1, 1)) -> Grid:
 def sample_one_period(
     grid: Grid, cells: tuple[int, int, int], start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]
 ) -> NDArray[Any]:
-    """Layers start <= k < stop of a grid that may be larger than the period of the field.
+    """Layers start <= k < stop, (layers, ny, nx), of a grid that may be larger than the field's period of some `cells`.
 
-    Each point of a period is computed once, so that its images are equal to the last bit. Along axes where the period
-    is not an integer number of samples nothing can be shared, and all samples are computed.
-
-    Parameters
-    ----------
-    grid : Grid
-    cells : tuple of 3 ints
-        The period, cell sizes.
-    start, stop : int
-    sample : function of grid, start, stop
-        Computes layers of a grid, (layers, ny, nx).
+    `sample` computes layers of a grid. Each point of a period is computed once, so that its images are equal to the
+    last bit. Along axes where the period is not an integer number of samples nothing can be shared, and all are
+    computed.
     """
     counts = []
     for axis in range(3):

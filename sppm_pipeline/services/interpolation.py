@@ -33,18 +33,10 @@ _BLOCK = np.uint64(BLOCK)
 
 
 class Taps(NamedTuple):
-    """Coarse samples and weights from which those along one axis are interpolated.
+    """Coarse samples and weights from which those along one axis are interpolated."""
 
-    Attributes
-    ----------
-    first : (m,) int64
-        The first of six consecutive coarse samples.
-    weights : (m, 6) float32
-        Their weights, which add up to one.
-    """
-
-    first: NDArray[np.int64]
-    weights: NDArray[np.float32]
+    first: NDArray[np.int64]  # (m,), the first of six consecutive coarse samples
+    weights: NDArray[np.float32]  # (m, 6); they add up to one
 
 
 def taps_at(positions: NDArray[np.float64]) -> Taps:
@@ -53,6 +45,7 @@ def taps_at(positions: NDArray[np.float64]) -> Taps:
     whole = np.floor(positions)
     nodes = np.arange(TAPS) - (BEFORE - 1.0)
     distance = (positions - whole)[:, None] - nodes
+    # Lagrange's polynomials of the six nodes
     weights = np.empty_like(distance)
     for k in range(TAPS):
         others = np.arange(TAPS) != k
@@ -61,18 +54,11 @@ def taps_at(positions: NDArray[np.float64]) -> Taps:
 
 
 class Band(NamedTuple):
-    """Weights for `stretch`: each block of fine samples from the coarse ones that any of them is interpolated from.
+    """Weights for `stretch`: each block of fine samples from the coarse ones that any of them is interpolated from."""
 
-    Attributes
-    ----------
-    first : (blocks, parts) uint64
-        The first of six consecutive coarse samples, counted from the first of all.
-    weights : (blocks, parts, 6, BLOCK) float32
-        Their weights, zero for those that are no taps of a sample.
-    """
-
+    # (blocks, parts), the first of six consecutive coarse samples, counted from the first of all
     first: NDArray[np.uint64]
-    weights: NDArray[np.float32]
+    weights: NDArray[np.float32]  # (blocks, parts, 6, BLOCK), zero for those that are no taps of a sample
 
 
 def band_of(taps: Taps) -> Band:
@@ -98,20 +84,10 @@ def stretch(
     out: NDArray[np.float32],
     wanted: NDArray[np.int32] | None = None,
 ) -> None:
-    """Interpolate rows of coarse planes along x.
+    """Interpolate rows of coarse planes (n, cy, cx), column 0 for the first tap, along x into `out` (n, cy, nx').
 
-    Parameters
-    ----------
-    coarse : (n, cy, cx) float32, C-contiguous
-        Planes; column 0 is the first coarse sample of the first tap.
-    band : Band
-        Of the fine samples along x.
-    rows : range
-        Rows to stretch.
-    out : (n, cy, nx') float32, C-contiguous
-        Receives as many samples as there are in all blocks.
-    wanted : (cy, 2) int32, optional
-        The first block of each row that matters, and the one after the last; others are left as they are.
+    `out` has as many samples as there are in all blocks. `wanted` (cy, 2) is the first block of each row that matters,
+    and the one after the last; others are left as they are.
     """
     if wanted is None:
         wanted = np.tile(np.array([0, len(band.first)], np.int32), (coarse.shape[1], 1))
@@ -137,22 +113,11 @@ def interpolate_layers(
     The value of a sample depends on its taps and the coarse samples alone, to the last bit, whichever rows and parts of
     rows are asked for.
 
-    Parameters
-    ----------
-    low, high : (n, cy, nx') and (m, cy, nx') float32, C-contiguous
-        Consecutive coarse planes, stretched along x; row 0 is the first coarse sample of the first tap along y. They
-        come in two stacks, of which the second may be empty.
-    first, weights : (layers,) int64, (layers, 6) float32
-        Taps of the layers along z, counted from the first plane of `low`.
-    taps : Taps
-        Of the ny fine samples along y.
-    level : float
-    rows : range
-        Rows to compute.
-    wanted : (layers, ny, 2) int32
-        First sample of each row that matters and the one after the last; others are left as they are.
-    field, solid : (layers, ny, nx) float32 or uint8, C-contiguous
-        One of them receives the result.
+    `low` (n, cy, nx') and `high` (m, cy, nx'), which may be empty, are consecutive coarse planes, stretched along x;
+    row 0 is the first coarse sample of the first tap along y. `first` and `weights` are the taps of the layers along z,
+    counted from the first plane of `low`, `taps` those of the fine samples along y. `wanted` (layers, ny, 2) is the
+    first sample of each row that matters and the one after the last; others are left as they are. `field` or `solid`
+    (layers, ny, nx) receives the result.
     """
     coarse = int(taps.first[rows.stop - 1] - taps.first[rows.start]) + TAPS
     _interpolate_rows(

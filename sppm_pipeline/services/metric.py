@@ -19,18 +19,9 @@ _ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 
 def stretched_metric(stretch: NDArray[np.float64], direction: NDArray[np.float64]) -> Metric:
-    """Metrics of structures that are stretched along directions.
+    """Metrics (n, 6) of structures that are stretched s > 0 times along directions (n, 3); below 1 they are flattened.
 
-    Parameters
-    ----------
-    stretch : (n,) float64
-        Factors s > 0; below 1 the structure is flattened.
-    direction : (n, 3) float64
-        Of any length; of the length 0 where there is none: the metric is plain there.
-
-    Returns
-    -------
-    (n, 6) float64
+    Directions are of any length; of the length 0 where there is none: the metric is plain there.
     """
     length = np.linalg.norm(direction, axis=1)
     unit = np.divide(direction, length[:, None], out=np.zeros_like(direction), where=length[:, None] > 0)
@@ -38,16 +29,11 @@ def stretched_metric(stretch: NDArray[np.float64], direction: NDArray[np.float64
 
 
 def check_metric(metric: Metric, n: int) -> None:
-    """Check that there are n metrics, all positive definite.
-
-    Raises
-    ------
-    ValueError
-        If they are not.
-    """
+    """Raise a ValueError unless there are n metrics, all positive definite."""
     if metric.shape != (n, 6):
         raise ValueError(f"the metrics have the shape {metric.shape}, expected ({n}, 6)")
     xx, yy, _, xy, _, _ = metric.T
+    # Sylvester's criterion: all leading minors are positive
     if not ((xx > 0) & (xx * yy > xy * xy) & (determinants(metric) > 0)).all():
         raise ValueError("a metric is not positive definite")
 

@@ -9,16 +9,9 @@ from numpy.typing import NDArray
 
 
 class MonotoneCubic(NamedTuple):
-    """A piecewise cubic through points that rises and falls only where they do (Fritsch and Carlson 1980).
+    """A piecewise cubic through points that rises and falls only where they do (Fritsch and Carlson 1980)."""
 
-    Attributes
-    ----------
-    places : (m,) float64
-        Ascending; two or more.
-    values, slopes : (m,) float64
-    """
-
-    places: NDArray[np.float64]
+    places: NDArray[np.float64]  # (m,), ascending; two or more
     values: NDArray[np.float64]
     slopes: NDArray[np.float64]
 
@@ -52,14 +45,7 @@ class MonotoneCubic(NamedTuple):
 
 
 def monotone_cubic(places: NDArray[np.float64], values: NDArray[np.float64]) -> MonotoneCubic:
-    """The interpolant; slopes are weighted harmonic means of those beside a point (Fritsch and Butland 1984).
-
-    Parameters
-    ----------
-    places : (m,) float64
-        Ascending; two or more.
-    values : (m,) float64
-    """
+    """The interpolant; slopes are weighted harmonic means of those beside a point (Fritsch and Butland 1984)."""
     x, y = np.asarray(places, np.float64), np.asarray(values, np.float64)
     h = np.diff(x)
     d = np.diff(y) / h

@@ -24,24 +24,10 @@ def element_tree(corners: NDArray[np.float64]) -> BoxTree:
 def locate(
     tree: BoxTree, corners: NDArray[np.float64], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The tetrahedron around each point, and the weights of its corners.
+    """The tetrahedron (n,) around each point, -1 for none, and the weights of its corners (n, 4), barycentric, 0 to 1.
 
-    Where several hold a point, as on a common face, it is the first of them in the mesh, so that the result does not
-    depend on which points are asked for.
-
-    Parameters
-    ----------
-    tree : BoxTree
-        By `element_tree`.
-    corners : (m, 4, 3) float64
-    points : (n, 3) float64
-
-    Returns
-    -------
-    element : (n,) int64
-        -1 outside of the mesh.
-    weights : (n, 4) float64
-        Barycentric coordinates, 0 to 1.
+    The tree is that of `element_tree`. Where several hold a point, as on a common face, it is the first of them in the
+    mesh, so that the result does not depend on which points are asked for.
     """
     return _locate(tree.order, tree.boxes, tree.starts, corners, np.ascontiguousarray(points, np.float64))
 
@@ -49,24 +35,10 @@ def locate(
 def nearest_in(
     corners: NDArray[np.float64], tetrahedra: NDArray[np.int64], node: NDArray[np.int64], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For points outside of a mesh a tetrahedron at the nearest node, and weights of a place in it.
+    """For points outside of a mesh a tetrahedron (n,) at the nearest node, and weights (n, 4) of a place in it.
 
     It is the node, or a place in one of the tetrahedra around it where weights that would be negative are zero,
     whichever is nearer to the point.
-
-    Parameters
-    ----------
-    corners : (m, 4, 3) float64
-    tetrahedra : (m, 4) int64
-        Their nodes.
-    node : (n,) int64
-        The nearest node of each point.
-    points : (n, 3) float64
-
-    Returns
-    -------
-    element : (n,) int64
-    weights : (n, 4) float64
     """
     order = np.argsort(tetrahedra.ravel(), kind="stable")
     count = int(max(tetrahedra.max(), node.max(initial=0))) + 1

@@ -40,24 +40,14 @@ class Trial(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The result of a search.
-
-    Attributes
-    ----------
-    met : bool
-    best : Trial
-        The one with the smallest error; of the largest error of both, if there are two targets.
-    why : str
-        Why the targets are not met: "outside" (no neighboring trials enclose them), "jump" (the numbers jump over
-        them), "exhausted" (no evaluation is left); empty if they are met.
-    trials : tuple of Trial
-        In the order of evaluation.
-    """
+    """The result of a search."""
 
     met: bool
-    best: Trial
+    best: Trial  # the one with the smallest error; of the largest error of both, if there are two targets
+    # "outside" (no neighboring trials enclose the targets), "jump" (the numbers jump over them), "exhausted" (no
+    # evaluation is left); empty if they are met
     why: str
-    trials: tuple[Trial, ...]
+    trials: tuple[Trial, ...]  # in the order of evaluation
 
 
 def relative_error(number: float, target: float, scale: float) -> float:
@@ -76,34 +66,17 @@ def search(
     evaluations: int,
     whole: Sequence[bool] = (False, False),
 ) -> Search:
-    """Find parameters at which an unknown function has its targets.
+    """Find parameters at which an unknown function has its targets, one or two, by as many parameters.
 
-    A grid of `first` values along each parameter comes first. One target is then enclosed by neighboring trials, and
-    a monotone cubic between them proposes the next value (Fritsch and Carlson 1980); where it stalls, the bracket is
+    A grid of `first` values along each parameter comes first. One target is then enclosed by neighboring trials, and a
+    monotone cubic between them proposes the next value (Fritsch and Carlson 1980); where it stalls, the bracket is
     halved. If none enclose it, the surroundings of the nearest trial are refined, unless it is an end. Two targets are
     approached by Gauss-Newton steps on a plane fitted to the trials, the near ones weighing most (a secant method that
     forgets nothing), inside the bounds and a trust region.
 
-    Parameters
-    ----------
-    evaluate : callable
-        From parameters to as many numbers as there are targets; None where there are none.
-    low, high : sequences of float
-        Bounds; as many as there are targets, 1 or 2.
-    targets : sequence of float
-    accuracy : float
-        Largest relative error; of a target 0, relative to the largest number of the first trials.
-    first : int
-        Values along each parameter that are tried before any is proposed.
-    evaluations : int
-        Maximum number of evaluations.
-    whole : sequence of bool
-        Whether a parameter takes integers only.
-
-    Raises
-    ------
-    ValueError
-        If no trial has numbers.
+    `evaluate` may have no numbers for some parameters; a ValueError says that no trial has any. `accuracy` is the
+    largest relative error; of a target 0, relative to the largest number of the first trials. Parameters that are
+    `whole` take integers only.
     """
     trials: dict[Point, Point | None] = {}
 
@@ -203,29 +176,12 @@ def _refined(
 def parameter_for(
     parameters: NDArray[np.float64], numbers: NDArray[np.float64], target: float
 ) -> tuple[float, tuple[float, float]]:
-    """The parameter at which the number is expected to be `target`, and the known ones around it.
+    """The parameter at which the number is expected to be `target`, and the neighboring ones that enclose it.
 
     A monotone cubic through the samples (Fritsch and Carlson 1980) is followed between two that enclose the target, so
     that the guess always lies between them. Where numbers keep the sign of the target, their logarithms are
-    interpolated, which are nearly straight for moduli and permeabilities over the porosity.
-
-    Parameters
-    ----------
-    parameters : (n,) float64
-        Different; n >= 1.
-    numbers : (n,) float64
-    target : float
-
-    Returns
-    -------
-    guess : float
-    around : (low, high)
-        Neighboring parameters whose numbers enclose the target.
-
-    Raises
-    ------
-    ValueError
-        If no neighboring samples enclose the target.
+    interpolated, which are nearly straight for moduli and permeabilities over the porosity. Parameters differ; a
+    ValueError says that no neighboring samples enclose the target.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -246,6 +202,7 @@ def parameter_for(
         x, y, goal = x[start:end], np.log(np.abs(y[start:end])), math.log(abs(target))
     curve = PchipInterpolator(x, y)
     a, b = low, high
+    # bisection down to rounding
     for _ in range(60):
         middle = (a + b) / 2
         if (curve(middle) - goal) * (curve(a) - goal) <= 0:

@@ -63,21 +63,9 @@ def share_out(function: Callable[[Item], object], items: Iterable[Item], threads
     """Call a function for each item, in the caller's thread and others, which are kept for the next time.
 
     A slab of layers is shared out a dozen times. To start a thread and to wait for it takes a tenth of a millisecond,
-    and the caller would look on meanwhile.
-
-    Parameters
-    ----------
-    function : callable
-        Runs in several threads at once, the caller's among them; what it returns is dropped.
-    items : iterable
-        Arguments; they are taken by one thread at a time, in their order.
-    threads : int
-        Number of threads, the caller's included.
-
-    Raises
-    ------
-    BaseException
-        The first error of a call, an interrupt among them, when all that have begun have ended; no others begin.
+    and the caller would look on meanwhile. Items are taken by one thread at a time, in their order; `threads` includes
+    the caller's. The first error of a call, an interrupt among them, is raised when all that have begun have ended; no
+    others begin.
     """
     waiting = list(items)
     others = min(threads, len(waiting)) - 1

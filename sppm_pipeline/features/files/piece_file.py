@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.families.file_writer import write_all, write_hashed
-from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
+from sppm_pipeline.method.nouns.mesh import ExpectedSize
 from sppm_pipeline.services.formats.encoding import InPieces, largest
 from sppm_pipeline.services.threads import ordered_map
 from sppm_pipeline.stage import Context

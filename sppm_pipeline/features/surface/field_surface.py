@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.surface.mesh_stream import MeshPiece, MeshStream, RimPoints
 from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
+from sppm_pipeline.method.nouns.mesh import ExpectedSize
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.services.grid import Grid

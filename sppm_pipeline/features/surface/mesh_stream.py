@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
+from sppm_pipeline.method.nouns.mesh import ExpectedSize
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.rims import Split

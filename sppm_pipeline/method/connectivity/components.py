@@ -145,6 +145,7 @@ def _lift(parent: NDArray[np.int32], offset: NDArray[np.int32], c: int) -> tuple
     while parent[c] != c:
         p = parent[c]
         if parent[p] != p:
+            # path halving; the shift of a node is that against its new parent then
             for axis in range(3):
                 offset[c, axis] += offset[p, axis]
             parent[c] = parent[p]

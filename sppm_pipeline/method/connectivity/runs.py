@@ -124,6 +124,7 @@ def _find_runs(
             change = word ^ ((word << _ONE) | carry)
             carry = word >> _TOP_BIT
             while change != 0:
+                # two's complement leaves the lowest set bit alone
                 lowest = change & (~change + _ONE)
                 bounds[n] = 64 * w + bit_index(lowest)
                 n += 1

@@ -66,7 +66,7 @@ class SlabUnion:
         self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
 
     def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
-        """Decide what stays, as `IslandFilter.finish`; per slab a verdict on its ids for `IslandFilter.decided`."""
+        """Decide what stays, as `IslandFilter.finish`; and the verdict on the ids of each slab."""
         parent = self._parent[: self._starts[-1]].copy()
         voxels = np.concatenate([np.zeros(0, np.int64), *self._voxels])
         boxes = np.concatenate([np.zeros((0, 6), np.int32), *self._boxes])

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.method.connectivity.layer_ids import clear_runs, layer_ids, list_loose, set_runs, still_loose
-from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, neighbor_reach, runs_of_bits
+from sppm_pipeline.method.connectivity.runs import Runs, neighbor_reach, runs_of_bits
 from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
-from sppm_pipeline.services.bit_rows import count, pack, unpack
+from sppm_pipeline.services.bit_rows import count
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root
 
@@ -86,11 +86,6 @@ class IslandFilter:
         self._n_ids = 0
         self._z = 0
 
-    def _bytes(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
-        if slab.ndim != 3 or slab.shape[1:] != self._shape:
-            raise ValueError(f"a slab is (nz, {self._shape[0]}, {self._shape[1]}), not {slab.shape}")
-        return as_bytes(slab)
-
     def _advance(self, layer: NDArray[np.uint64], counting: bool) -> Runs:
         """Find the runs of the next layer (1, ny, words) and their ids; count their voxels in the first pass."""
         # runs, not voxels: far fewer, and as quick to join
@@ -121,12 +116,8 @@ class IslandFilter:
         self._z += 1
         return runs
 
-    def observe(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> None:
-        """First pass: take in the next layers (nz, ny, nx), of which anything but 0 belongs to the phase."""
-        self.observe_bits(pack(self._bytes(slab)))
-
-    def observe_bits(self, slab: NDArray[np.uint64]) -> int:
-        """`observe` for bits, (nz, ny, words), see `services.bit_rows`; returns how many are set."""
+    def observe(self, slab: NDArray[np.uint64]) -> int:
+        """First pass: take in the next layers, bits (nz, ny, words) as in `services.bit_rows`; how many are set."""
         if self._verdict is not None:
             raise ValueError("observe comes before finish")
         total = 0
@@ -176,7 +167,7 @@ class IslandFilter:
         if self._verdict is not None:
             raise ValueError("finish comes once")
         root = self._parent[: self._n_ids]
-        _resolve(root, self._voxels, self._boxes)
+        resolve(root, self._voxels, self._boxes)
         kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers, keep)
         self._verdict = kept[root]
         self._free()
@@ -187,7 +178,7 @@ class IslandFilter:
         if self._verdict is not None or not self._layers:
             raise ValueError("labels come once, after the layers of a slab")
         root = self._parent[: self._n_ids]
-        _resolve(root, self._voxels, self._boxes)
+        resolve(root, self._voxels, self._boxes)
         is_root = root == np.arange(root.size, dtype=np.int32)
         number = np.cumsum(is_root, dtype=np.int32) - np.int32(1)
         component = number[root]
@@ -216,25 +207,11 @@ class IslandFilter:
         self._rewind()
         self._first, self._ids_first = self._below, self._ids_below
 
-    def clear(
-        self, slab: NDArray[np.bool_] | NDArray[np.uint8], out: NDArray[np.uint8] | None = None
-    ) -> NDArray[np.uint8]:
-        """Second pass: copy the next layers (nz, ny, nx) with 0 in the voxels of islands; `out` may be `slab` itself.
+    def clear(self, slab: NDArray[np.uint64]) -> None:
+        """Second pass: take the islands out of the next layers, bits (nz, ny, words); in place.
 
         An InputError says that the layers are not those of the first pass, as far as that shows.
         """
-        layers = self._bytes(slab)
-        bits = pack(layers)
-        self.clear_bits(bits)
-        if out is None:
-            out = layers.copy()
-        elif out is not slab:
-            out[...] = layers
-        out *= unpack(bits, self._shape[1])
-        return out
-
-    def clear_bits(self, slab: NDArray[np.uint64]) -> None:
-        """`clear` for bits, (nz, ny, words), see `services.bit_rows`; in place."""
         if self._verdict is None:
             raise ValueError("clear comes after finish")
         if self._z + slab.shape[0] > self._layers:
@@ -269,11 +246,6 @@ def _grown(of_ids: NDArray[Any], known: int, needed: int) -> NDArray[Any]:
     return larger
 
 
-def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
-    """Point every label at its root and gather voxels and bounding boxes there; in place."""
-    _resolve(parent, voxels, boxes)
-
-
 def _other_layer(z: int) -> InputError:
     return InputError(
         f"layer {z} of the second pass is not that of the first",
@@ -282,7 +254,7 @@ def _other_layer(z: int) -> InputError:
 
 
 @jit
-def _resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
+def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
     """Point every id at its root and gather counts and bounding boxes there."""
     # in ascending order the parent of a parent is a root already
     for i in range(parent.size):

@@ -199,6 +199,7 @@ def _rounded(positions: NDArray[np.float64], periodic: bool) -> NDArray[np.float
     if not periodic:
         return np.round(positions * 2.0**40) / 2.0**40
     inside = np.round((positions - np.floor(positions)) * 2.0**40) / 2.0**40
+    # what is rounded up to 1 lies in the next cell
     inside[inside >= 1.0] = 0.0
     return inside
 

@@ -222,10 +222,6 @@ class Resin:
     source: str  # where these numbers were read
     measured: bool  # False for a model, whose numbers are of a usual size only
 
-    def contradiction(self) -> str | None:
-        """Description of an impossible property of the resin; None if all are possible."""
-        return None
-
 
 def _size(lengths: tuple[float, ...]) -> str:
     return f"{' x '.join(f'{length:.5g}' for length in lengths)} mm"
@@ -352,7 +348,7 @@ def _card(kind: type[Any], name: str, entry: Any, file: str) -> Any:
         raise InputError(f"{where}: the entry {missing[0]!r} is missing")
     values = {key: _value(hints[key], fields[key].metadata, value, f"{where}: {key}") for key, value in entry.items()}
     made = kind(**own, **values)
-    if kind is not Motion and (wrong := made.contradiction()):
+    if kind is Printer and (wrong := made.contradiction()):
         raise InputError(f"{where}: {wrong}")
     return made
 

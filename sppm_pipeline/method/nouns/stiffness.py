@@ -205,6 +205,7 @@ class StiffnessReport(Report, Viewable):
         for label, (a, b) in (("xy plane", (0, 1)), ("yz plane", (1, 2)), ("zx plane", (2, 0))):
             n = np.zeros((3, len(turn)))
             n[a], n[b] = np.cos(turn), np.sin(turn)
+            # E(n) = 1 / (v S v) with the compliance S and v = n n in Voigt order
             v = np.stack([n[0] ** 2, n[1] ** 2, n[2] ** 2, n[1] * n[2], n[0] * n[2], n[0] * n[1]])
             curves.append(Curve(turn, 1 / np.einsum("ik,ij,jk->k", v, s, v), label))
         unit = str(summary.get("unit") or "")

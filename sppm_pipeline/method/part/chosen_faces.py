@@ -34,6 +34,7 @@ def faces_toward(
     ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
     # not divided by the length: triangles without an area would give 0 / 0
     cosines = (normals @ ways.T).max(1, initial=-np.inf)
+    # a face at the very angle counts, whichever way its cosine is rounded
     chosen: NDArray[np.bool_] = (length > 0) & (cosines >= (math.cos(math.radians(angle)) - 1e-9) * length)
     return chosen
 

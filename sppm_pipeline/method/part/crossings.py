@@ -89,6 +89,7 @@ def _cross(
         for axis in range(3):
             b, c = (axis + 1) % 3, (axis + 2) % 3
             ub, uc, vb, vc = p[1, b] - p[0, b], p[1, c] - p[0, c], p[2, b] - p[0, b], p[2, c] - p[0, c]
+            # twice the area of the triangle's shadow on the plane across the axis
             area = ub * vc - uc * vb
             # seen edge-on along this axis: the other two axes find it
             if area == 0.0:

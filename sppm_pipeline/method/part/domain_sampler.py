@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.part.crossings import Crossings
     from sppm_pipeline.method.part.inside import Method
     from sppm_pipeline.method.part.ray_crossings import Scan
+    from sppm_pipeline.method.part.scanline import ThreeAxisScan
     from sppm_pipeline.method.part.spanned import SpannedScan
-    from sppm_pipeline.method.part.three_axis import ThreeAxisScan
 
 DISTANCE_SAMPLES = 2**22
 """Samples whose distance from the domain is computed at a time: 16 MB. Not sensitive: only memory."""

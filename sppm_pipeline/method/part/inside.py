@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.method.part.ray_crossings import Scan, prepare_scan
-from sppm_pipeline.method.part.scanline import Occupancy, scan_layers
+from sppm_pipeline.method.part.scanline import Occupancy, ThreeAxisScan, prepare_three_axis, scan_layers, vote_layers
 from sppm_pipeline.method.part.spanned import SpannedScan, prepare_spanned, spanned_layers
-from sppm_pipeline.method.part.three_axis import ThreeAxisScan, prepare_three_axis, vote_layers
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.measures import balanced_edges, bounds

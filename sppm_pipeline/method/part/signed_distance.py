@@ -104,6 +104,7 @@ def _sweep(
 ) -> None:
     """Offer each sample the triangles of its neighbors behind it, in all eight directions of travel."""
     nz, ny, nx = squared.shape
+    # one sweep for each octant that the nearest triangle may lie in (fast sweeping)
     for way in range(8):
         dk, dj, di = 1 - 2 * (way >> 2 & 1), 1 - 2 * (way >> 1 & 1), 1 - 2 * (way & 1)
         for ck in range(nz):

@@ -116,6 +116,7 @@ def spanned_layers(scan: SpannedScan, start: int, stop: int) -> Occupancy:
 def _node_areas(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
     leaves = starts.size - 1
     areas = np.zeros(2 * leaves - 1)
+    # from the leaves up: the children of a node come after it
     for node in range(2 * leaves - 2, -1, -1):
         if node < leaves - 1:
             areas[node] = areas[2 * node + 1] + areas[2 * node + 2]

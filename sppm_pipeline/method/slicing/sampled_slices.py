@@ -229,18 +229,18 @@ class SampledSlices(SliceStack):
         spool = Spool()
         islands = IslandFilter(ny, nx)
         for start, solid in self.decided(threads, counts):
-            islands.observe_bits(solid)
+            islands.observe(solid)
             spool.append(start, solid)
         summary |= self.summary_of_counts(counts)
         found |= self.removal(islands.finish("largest"), summary)
         if not spool.whole:  # the disk was full: the second pass evaluates the layers again
             for start, solid in self.decided(threads, {}):
-                islands.clear_bits(solid)
+                islands.clear(solid)
                 yield start, solid
             return
         for number in range(len(spool)):
             start, solid = spool.slab(number)
-            islands.clear_bits(solid)
+            islands.clear(solid)
             spool.replace(number, solid)
             yield start, solid
         kept.islands, kept.summary = dict(found), dict(summary)

@@ -88,7 +88,7 @@ def label_slab(common: tuple[SampledSlices, Any], task: SlabTask) -> LabeledSlab
     islands, counts = IslandFilter(ny, nx), dict[str, int]()
     with _Bits(task.file) as bits:  # the second pass reads them, maybe in another process
         for _, solid in _evaluated(stack, task, counts):
-            islands.observe_bits(solid)
+            islands.observe(solid)
             bits.add(solid)
     return LabeledSlab(islands.labels(), counts)
 
@@ -107,7 +107,7 @@ def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -
 
     islands = IslandFilter.decided(ny, nx, task.stop - task.start, task.verdict)
     for start, solid in sheets:
-        islands.clear_bits(solid)
+        islands.clear(solid)
         yield start, solid
 
 

@@ -296,6 +296,7 @@ def stack_size(
     # commensurate pitches repeat from cell to cell, so patches serve
     even = abs(along - round(along)) < 1e-6 and max(abs(n / along - 1) for n in others) < 1e-9
     inside = body.volume * math.prod(per_edge) * each
+    # the height of slabs as `SampledSlices` chooses it
     slab = min(samples, max(2.0**22, nx * ny * each))
     pixel, layer = math.sqrt(pitch[0] * pitch[1]), pitch[2]
     outline = body.outline(pixel / body.scale, layer / body.scale)

@@ -54,7 +54,7 @@ class CheckResidualPeriodicity(Stage):
         if self.path is not None:
             from PIL import Image
 
-            from sppm_pipeline.services.pictures.folded import folded_sections
+            from sppm_pipeline.services.pictures.sheets import folded_sections
 
             picture = folded_sections(mean_cell(solid, tiling.cells), float(solid.mean()), folded.expected)
             Image.fromarray(picture).save(context.output(self.path))

@@ -52,6 +52,7 @@ class CheckTiling(Stage):
         table = tile_colors(tileset.palette_colors) if wang else None
         broken = face_violations(interior, arrays.faces, table, periodic=periodic)
         used, counts = np.unique(interior[interior >= 0], return_counts=True)
+        # the entropy of interiors is that of their frequencies, Shannon's
         frequencies = counts / max(1, counts.sum())
         alike, pairs = alike_neighbors(interior, periodic=periodic)
         face, edge, corner = (float(n / m) if m else 0.0 for n, m in zip(alike, pairs, strict=True))

@@ -43,7 +43,7 @@ class SliceField(Stage):
         if (self.pixel is None and self.printer is None) == (self.resolution is None):
             raise ConfigError("give one of `printer`, `pixel` and `resolution`")
         if self.resolution is not None and self.layer is not None:
-            raise ConfigError("`layer` goes with `pixel`; with `resolution` layers are as high as pixels are wide")
+            raise ConfigError("`layer` belongs to `pixel`; with `resolution` layers are as high as pixels are wide")
         self._cut(1.0)
 
     def _cut(self, edge: float) -> tuple[Printer | None, tuple[float, float, float]]:

@@ -37,5 +37,6 @@ class CornerColorsTileSet(TileSetMaker):
 
         side = max(2, int(np.ceil(self.interiors ** (1 / 3))))
         interior, faces = tile_corners(np.ones((side,) * 3, bool), 0, self.colors, self.interiors, periodic=True)
+        # the hash may leave an interior out; here each has its turn
         interior = (np.arange(interior.size, dtype=np.int32) % self.interiors).reshape(interior.shape)
         return [TilingArrays(interior, faces, True)]

@@ -190,7 +190,7 @@ class TunePorosity(Stage):
         used = np.isin(counts, order[np.argsort(np.abs(mean - self.target), kind="stable")[:3]])
         line = fit_line(np.array(counts)[used], np.array(porosities)[used])
         n = count_for_porosity(line, self.target)
-        context.report(count=n, line={name: value for name, value in line._asdict().items() if name != "residuals"})
+        context.report(count=n, line=line._asdict())
         return {stage: {"total": n} for stage in stages}
 
     def _by_level(self, context: Context, recipe: Recipe, options: Options) -> ScalarField:

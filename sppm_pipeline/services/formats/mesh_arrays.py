@@ -182,6 +182,7 @@ def _enter(bits: NDArray[np.uint32], first: NDArray[np.int64], slots: NDArray[np
 @jit
 def _hash(a: np.uint32, b: np.uint32, c: np.uint32) -> np.int64:
     h = np.uint64(a) | np.uint64(b) << np.uint64(32)
+    # the multipliers of SplitMix64 (Steele, Lea and Flood, 2014)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     h = ((h ^ (h >> np.uint64(32))) + np.uint64(c)) * np.uint64(0x94D049BB133111EB)
     return np.int64((h ^ (h >> np.uint64(31))) & np.uint64(0x7FFFFFFFFFFFFFFF))

@@ -65,6 +65,7 @@ def _morton(points: NDArray[np.float64], low: NDArray[np.float64], extent: float
 def _boxes(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
     leaves = starts.size - 1
     boxes = np.empty((2 * leaves - 1, 6))
+    # from the leaves up: the children of a node come after it
     for node in range(2 * leaves - 2, -1, -1):
         for a in range(3):
             low, high = np.inf, -np.inf

@@ -72,6 +72,7 @@ def _face_keys(tets: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDA
             a, b, c = int(tets[m, (i + 1) % 4]), int(tets[m, (i + 2) % 4]), int(tets[m, (i + 3) % 4])
             low, high = int(min(a, b, c)), int(max(a, b, c))
             p = ends[low]
+            # the middle one of three nodes is their sum less the others
             keys[p] = np.uint64((a + b + c - low - high) * n + high)
             faces[p] = 4 * m + i
             ends[low] += 1

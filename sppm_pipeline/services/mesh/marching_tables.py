@@ -88,6 +88,7 @@ def _triangulated(loop: list[int]) -> list[int]:
     """
     n = len(loop)
     best: dict[tuple[int, int], tuple[float, list[int]]] = {(i, i + 1): (0.0, []) for i in range(n - 1)}
+    # from short chords to long ones, as a long one is split into two shorter
     for width in range(2, n):
         for i in range(n - width):
             j = i + width

@@ -312,6 +312,19 @@ def _divides(
 
 
 @jit
+def _dividing(
+    piece: NDArray[np.float64], segments: NDArray[np.float64], candidates: NDArray[np.int64], tolerance: float
+) -> NDArray[np.int64]:
+    """Those of some segments that cross the inside of a triangle, in their order."""
+    found, sides, n = np.empty(candidates.size, np.int64), np.empty(3), 0
+    for s in candidates:
+        if _divides(piece, segments[s], tolerance, sides):
+            found[n] = s
+            n += 1
+    return found[:n]
+
+
+@jit
 def _split(piece: NDArray[np.float64], sides: NDArray[np.float64], parts: NDArray[np.float64]) -> int:
     """Cut a triangle along a line, given by the distances of its corners; returns the number of triangles it makes."""
     on = -1
@@ -352,54 +365,23 @@ def _pieces(t: NDArray[np.float64], partners: NDArray[np.float64], tolerance: fl
             for e in range(4):
                 segments[n, e] = found[s, e]
             n += 1
-    done, made = np.empty((64, 3, 2)), 0
-    # a stack of triangles, each with the segments that divide it; the lists lie one after the other in the pool
-    stack, spans, pool = np.empty((64, 3, 2)), np.empty((64, 2), np.int64), np.empty(4 * n + 64, np.int64)
-    listed, parts, piece, sides = np.empty(n, np.int64), np.empty((3, 3, 2)), np.empty((3, 2)), np.empty(3)
-    depth, end = 1, 0
-    stack[0] = corners
-    for s in range(n):
-        if _divides(corners, segments[s], tolerance, sides):
-            pool[end] = s
-            end += 1
-    spans[0, 0], spans[0, 1] = 0, end
-    while depth > 0:
-        depth -= 1
-        first, last = spans[depth, 0], spans[depth, 1]
-        piece[:] = stack[depth]
-        if first == last:
-            if made == done.shape[0]:
-                more = np.empty((2 * made, 3, 2))
-                more[:made] = done
-                done = more
-            done[made] = piece
-            made += 1
+    parts, sides, done = np.empty((3, 3, 2)), np.empty(3), [corners]
+    done.pop()  # only the type of the list was wanted
+    # triangles that are still to be cut, each with the segments that divide it
+    waiting = [(corners, _dividing(corners, segments, np.arange(n), tolerance))]
+    while len(waiting) > 0:
+        piece, dividing = waiting.pop()
+        if dividing.size == 0:
+            done.append(piece)
             continue
-        _divides(piece, segments[pool[first]], tolerance, sides)
-        count = _split(piece, sides, parts)
-        size = last - first - 1
-        listed[:size] = pool[first + 1 : last]
-        end = first
-        if pool.size < first + 3 * size or stack.shape[0] < depth + 3:
-            wider = np.empty(2 * pool.size + 3 * size, np.int64)
-            wider[: pool.size] = pool
-            pool = wider
-            taller, longer = np.empty((2 * stack.shape[0], 3, 2)), np.empty((2 * stack.shape[0], 2), np.int64)
-            taller[: stack.shape[0]], longer[: stack.shape[0]] = stack, spans
-            stack, spans = taller, longer
-        for part in range(count):
-            spans[depth, 0] = end
-            for s in listed[:size]:
-                # a segment that misses a part divides no piece of it either
-                if _divides(parts[part], segments[s], tolerance, sides):
-                    pool[end] = s
-                    end += 1
-            spans[depth, 1] = end
-            stack[depth] = parts[part]
-            depth += 1
-    pieces = np.empty((made, 3, 3))
-    for p in range(made):
+        _divides(piece, segments[dividing[0]], tolerance, sides)
+        for k in range(_split(piece, sides, parts)):
+            part = parts[k].copy()
+            # a segment that misses a part divides no piece of it either
+            waiting.append((part, _dividing(part, segments, dividing[1:], tolerance)))
+    pieces = np.empty((len(done), 3, 3))
+    for p in range(len(done)):
         for k in range(3):
             for a in range(3):
-                pieces[p, k, a] = t[0, a] + done[p, k, 0] * frame[0, a] + done[p, k, 1] * frame[1, a]
+                pieces[p, k, a] = t[0, a] + done[p][k, 0] * frame[0, a] + done[p][k, 1] * frame[1, a]
     return pieces

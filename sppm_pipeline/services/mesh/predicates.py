@@ -75,6 +75,7 @@ def _add(total: NDArray[np.float64], n: int, value: float) -> int:
 @jit
 def _split(value: float) -> tuple[float, float]:
     """Upper and lower half of the digits."""
+    # Veltkamp's splitting (Dekker 1971)
     far = _SPLIT * value
     high = far - (far - value)
     return high, value - high
@@ -83,6 +84,7 @@ def _split(value: float) -> tuple[float, float]:
 @jit
 def _product(x: float, y: float) -> tuple[float, float]:
     """The product as two doubles, the rounded one and what rounding lost."""
+    # Dekker's product: the halves of both factors multiply without rounding
     rounded = x * y
     xh, xl = _split(x)
     yh, yl = _split(y)
@@ -100,6 +102,7 @@ def _exact_side(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.fl
             of_p = corner[i] - difference
             parts[k, i, 0] = difference
             parts[k, i, 1] = (corner[i] - (difference + of_p)) + (of_p - p[i])
+    # 3 axes x 2 turns x 8 products x 4 doubles: at most 192 are added
     total = np.empty(512)
     n = 0
     for i in range(3):

@@ -92,6 +92,7 @@ def spread_points(
     place = np.minimum(np.searchsorted(share, (i + 0.5) / samples * share[-1], side="right"), len(share) - 1)
     # 1 / p and 1 / p^2, where p = 1.3247... solves p^3 = p + 1 (the plastic number)
     one, other = (0.5 + i * 0.7548776662466927) % 1, (0.5 + i * 0.5698402909980532) % 1
+    # the far half of the parallelogram is folded onto the triangle
     over = one + other > 1
     one, other = np.where(over, 1 - one, one)[:, None], np.where(over, 1 - other, other)[:, None]
     a, b, c = triangles[place, 0], triangles[place, 1], triangles[place, 2]

@@ -46,6 +46,7 @@ def _poles(
     leaves = starts.size - 1
     poles = np.zeros((2 * leaves - 1, 7))
     areas = np.zeros(2 * leaves - 1)
+    # from the leaves up: the children of a node come after it
     for node in range(2 * leaves - 2, -1, -1):
         pole = poles[node]
         if node >= leaves - 1:

@@ -153,6 +153,7 @@ def _march(
     """
     nz, ny, nx = void.shape
     x, y, z, u, v, w = line[0], line[1], line[2], line[3], line[4], line[5]
+    # d is measured along the view, the step along the ray
     step = STEP / math.sqrt(u * u + v * v + w * w)
     d, last, at_last = begin, begin, -1.0
     while True:

@@ -99,6 +99,7 @@ def _occlusion(
             if here == -np.inf:
                 continue
             nx, ny, nz = normal[r, c, 0], normal[r, c, 1], normal[r, c, 2]
+            # of a surface seen edge-on the slope has no bound
             steep = np.float32(1.0) / max(nz, np.float32(0.15))
             turn = (r & 3) * 4 + (c & 3)
             span = reach * rotations[turn, 2]

@@ -19,8 +19,7 @@ from sppm_pipeline.features.files.stages.write_mesh import ENCODERS, IN_PIECES, 
 from sppm_pipeline.features.surface.field_surface import FieldSurface
 from sppm_pipeline.features.surface.mesh_stream import PieceWindow
 from sppm_pipeline.features.surface.stages import extract_marching_cubes as marching_cubes
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
+from sppm_pipeline.method.nouns.mesh import ExpectedSize, SurfaceMesh
 from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.services.mesh.marching_cubes import marching_cubes_slabs
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.method.connectivity.slab_union import SlabUnion
-from sppm_pipeline.method.connectivity.streaming import IslandFilter
+from tests.method.connectivity.test_streaming import ByteFilter
 
 
 def serial(mask, connectivity, keep):
-    islands = IslandFilter(*mask.shape[1:], connectivity)
+    islands = ByteFilter(*mask.shape[1:], connectivity)
     islands.observe(mask)
     statistics = islands.finish(keep)
     return islands.clear(mask), statistics
@@ -21,13 +21,13 @@ def apart(mask, cuts, connectivity, keep):
     slabs = np.split(mask, cuts)
     union = SlabUnion(connectivity)
     for slab in slabs:
-        islands = IslandFilter(*mask.shape[1:], connectivity)
+        islands = ByteFilter(*mask.shape[1:], connectivity)
         for k in range(0, len(slab), 2):  # in steps
             islands.observe(slab[k : k + 2])
         union.add(islands.labels())
     statistics, verdicts = union.finish(keep)
     cleared = [
-        IslandFilter.decided(*mask.shape[1:], len(slab), verdict, connectivity).clear(slab)
+        ByteFilter.decided(*mask.shape[1:], len(slab), verdict, connectivity).clear(slab)
         for slab, verdict in zip(slabs, verdicts, strict=True)
     ]
     return np.concatenate(cleared), statistics
@@ -76,7 +76,7 @@ def test_a_part_that_is_one_through_other_slabs_only():
 
 
 def test_calls_out_of_order_and_other_layers_are_refused():
-    islands = IslandFilter(2, 3)
+    islands = ByteFilter(2, 3)
     with pytest.raises(ValueError, match="after the layers"):
         islands.labels()
     islands.observe(np.ones((1, 2, 3), np.uint8))
@@ -87,6 +87,6 @@ def test_calls_out_of_order_and_other_layers_are_refused():
     with pytest.raises(ValueError, match="share of the phase"):
         union.finish(0.0)
     _, (verdict,) = union.finish()
-    second = IslandFilter.decided(2, 3, 1, verdict)
+    second = ByteFilter.decided(2, 3, 1, verdict)
     with pytest.raises(InputError, match="not that of the first"):
         second.clear(np.array([[[1, 0, 1], [0, 0, 0]]], np.uint8))

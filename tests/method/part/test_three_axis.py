@@ -5,8 +5,7 @@ import pytest
 
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
 from sppm_pipeline.method.part.ray_crossings import prepare_scan
-from sppm_pipeline.method.part.scanline import scan_layers
-from sppm_pipeline.method.part.three_axis import prepare_three_axis, vote_layers
+from sppm_pipeline.method.part.scanline import prepare_three_axis, scan_layers, vote_layers
 from sppm_pipeline.services.grid import Grid
 
 GRID = Grid((-1.07, -1.1, -0.83), (0.031, 0.033, 0.025), (70, 68, 66))
@@ -20,12 +19,11 @@ def iou(a, b):
 def test_a_closed_mesh_gets_the_same_from_all_axes():
     expected = scan_layers(prepare_scan(*KNOT, GRID), 0, 66)
     prepared = prepare_three_axis(*KNOT, GRID)
-    for rule in ("winding", "parity"):
-        found = vote_layers(prepared, 0, 66, rule)
-        np.testing.assert_array_equal(found.mask, expected.mask)
-        assert found.open_rays == 0
-        parts = [vote_layers(prepared, k, min(k + 17, 66), rule).mask for k in range(0, 66, 17)]
-        np.testing.assert_array_equal(np.concatenate(parts), expected.mask)
+    found = vote_layers(prepared, 0, 66)
+    np.testing.assert_array_equal(found.mask, expected.mask)
+    assert found.undecided == 0
+    parts = [vote_layers(prepared, k, min(k + 17, 66)).mask for k in range(0, 66, 17)]
+    np.testing.assert_array_equal(np.concatenate(parts), expected.mask)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -39,30 +37,16 @@ def test_holes_are_outvoted(seed):
         keep &= np.linalg.norm(middle - hole, axis=1) > 0.06
     assert 20 < (~keep).sum() < 200
     found = vote_layers(prepare_three_axis(vertices, faces[keep], GRID), 0, 66)
-    assert 0 < found.open_rays < 0.05 * found.crossed_rays
+    assert 0 < found.undecided < 0.05 * whole.sum()
     assert iou(found.mask, whole) > 0.997
 
 
-def test_parity_does_not_look_at_the_winding():
-    vertices, faces = KNOT
-    flip = np.random.default_rng(0).random(len(faces)) < 0.5
-    tangled = np.where(flip[:, None], faces[:, ::-1], faces)
-    expected = scan_layers(prepare_scan(vertices, faces, GRID), 0, 66).mask
-    prepared = prepare_three_axis(vertices, tangled, GRID)
-    by_parity = vote_layers(prepared, 0, 66, "parity")
-    np.testing.assert_array_equal(by_parity.mask, expected)
-    assert by_parity.open_rays == 0
-    by_winding = vote_layers(prepared, 0, 66)
-    assert by_winding.open_rays > 0.3 * by_winding.crossed_rays
-
-
-def test_overlap_is_united_by_winding_and_cut_out_by_parity():
+def test_overlap_is_united():
     a, b = box_mesh((-0.2, 0, 0), (0.8, 1, 1)), box_mesh((0.2, 0, 0), (0.8, 1, 1))
     vertices, faces = np.concatenate([a[0], b[0]]), np.concatenate([a[1], b[1] + 8])
     one, other = (scan_layers(prepare_scan(*m, GRID), 0, 66).mask for m in (a, b))
     prepared = prepare_three_axis(vertices, faces, GRID)
     np.testing.assert_array_equal(vote_layers(prepared, 0, 66).mask, one | other)
-    np.testing.assert_array_equal(vote_layers(prepared, 0, 66, "parity").mask, one ^ other)
 
 
 def test_half_of_the_ballots_is_not_enough():
@@ -79,5 +63,3 @@ def test_nonsense_is_refused():
     prepared = prepare_three_axis(*KNOT, GRID)
     with pytest.raises(ValueError, match="not among the 66"):
         vote_layers(prepared, 0, 67)
-    with pytest.raises(ValueError, match="even"):
-        vote_layers(prepared, 0, 3, "even")

@@ -10,8 +10,7 @@ from sppm_pipeline.features.flow.stages.homogenize_conductivity import Homogeniz
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.method.porosity.shell import in_shell
-from sppm_pipeline.method.stages.extract_phases import ExtractPhases
+from sppm_pipeline.method.stages.extract_phases import ExtractPhases, in_shell
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -34,7 +34,7 @@ from sppm_pipeline.features.surface.field_surface import (
 from sppm_pipeline.features.surface.mesh_store import MeshStore
 from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceWindow
 from sppm_pipeline.method.connectivity.removal import removal_warning
-from sppm_pipeline.method.nouns.mesh_pieces import PieceTaker
+from sppm_pipeline.method.nouns.mesh import PieceTaker
 from sppm_pipeline.method.part.part import islands_for, node_grid
 
 if TYPE_CHECKING:
