@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, I32, I64, U8, U64
 from sppm_pipeline.services.jit.compiled import fused_jit, jit
 
 #: Coarse samples that enter along an axis, and how many of them lie before the sample or on it.
@@ -77,13 +78,7 @@ def band_of(taps: Taps) -> Band:
     return Band(start.astype(np.uint64), np.where(counts, found, np.float32(0)))
 
 
-def stretch(
-    coarse: NDArray[np.float32],
-    band: Band,
-    rows: range,
-    out: NDArray[np.float32],
-    wanted: NDArray[np.int32] | None = None,
-) -> None:
+def stretch(coarse: F32, band: Band, rows: range, out: F32, wanted: I32 | None = None) -> None:
     """Interpolate rows of coarse planes (n, cy, cx), column 0 for the first tap, along x into `out` (n, cy, nx').
 
     `out` has as many samples as there are in all blocks. `wanted` (cy, 2) is the first block of each row that matters,
@@ -97,16 +92,16 @@ def stretch(
 
 
 def interpolate_layers(
-    low: NDArray[np.float32],
-    high: NDArray[np.float32],
-    first: NDArray[np.int64],
-    weights: NDArray[np.float32],
+    low: F32,
+    high: F32,
+    first: I64,
+    weights: F32,
     taps: Taps,
     level: float,
     rows: range,
-    wanted: NDArray[np.int32],
-    field: NDArray[np.float32] | None,
-    solid: NDArray[np.uint8] | None,
+    wanted: I32,
+    field: F32 | None,
+    solid: U8 | None,
 ) -> None:
     """Rows of fine layers: the interpolated values less `level`, or whether they lie below it.
 
@@ -144,15 +139,15 @@ def interpolate_layers(
 
 @fused_jit
 def _between_planes(
-    p0: NDArray[np.float32],
-    p1: NDArray[np.float32],
-    p2: NDArray[np.float32],
-    p3: NDArray[np.float32],
-    p4: NDArray[np.float32],
-    p5: NDArray[np.float32],
+    p0: F32,
+    p1: F32,
+    p2: F32,
+    p3: F32,
+    p4: F32,
+    p5: F32,
     row: np.uint64,
-    w: NDArray[np.float32],
-    out: NDArray[np.float32],
+    w: F32,
+    out: F32,
     to: np.uint64,
     start: np.uint64,
     stop: np.uint64,
@@ -166,14 +161,7 @@ def _between_planes(
 
 @fused_jit
 def _between_rows(
-    rows: NDArray[np.float32],
-    k: np.uint64,
-    w: NDArray[np.float32],
-    y: np.uint64,
-    begin: np.float32,
-    out: NDArray[np.float32],
-    start: np.uint64,
-    stop: np.uint64,
+    rows: F32, k: np.uint64, w: F32, y: np.uint64, begin: np.float32, out: F32, start: np.uint64, stop: np.uint64
 ) -> None:
     """A number and the weighted sum of six rows from row k on, with the weights of fine row y."""
     k1, k2, k3, k4, k5 = k + np.uint64(1), k + np.uint64(2), k + np.uint64(3), k + np.uint64(4), k + np.uint64(5)
@@ -185,14 +173,7 @@ def _between_rows(
 
 @fused_jit
 def _negative_between_rows(
-    rows: NDArray[np.float32],
-    k: np.uint64,
-    w: NDArray[np.float32],
-    y: np.uint64,
-    begin: np.float32,
-    out: NDArray[np.uint8],
-    start: np.uint64,
-    stop: np.uint64,
+    rows: F32, k: np.uint64, w: F32, y: np.uint64, begin: np.float32, out: U8, start: np.uint64, stop: np.uint64
 ) -> None:
     """Signs of the values of `_between_rows`: True where negative."""
     k1, k2, k3, k4, k5 = k + np.uint64(1), k + np.uint64(2), k + np.uint64(3), k + np.uint64(4), k + np.uint64(5)
@@ -205,14 +186,14 @@ def _negative_between_rows(
 
 @fused_jit
 def _stretch(
-    coarse: NDArray[np.float32],
-    first: NDArray[np.uint64],
+    coarse: F32,
+    first: U64,
     parts: np.uint64,
-    weights: NDArray[np.float32],
+    weights: F32,
     row_start: np.uint64,
     row_stop: np.uint64,
-    wanted: NDArray[np.int32],
-    out: NDArray[np.float32],
+    wanted: I32,
+    out: F32,
 ) -> None:
     """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
     step = np.uint64(TAPS * BLOCK)
@@ -236,19 +217,19 @@ def _stretch(
 
 @jit
 def _interpolate_rows(
-    low: NDArray[np.float32],
-    high: NDArray[np.float32],
-    first: NDArray[np.int64],
-    weights: NDArray[np.float32],
-    y_first: NDArray[np.int64],
-    y_weights: NDArray[np.float32],
+    low: F32,
+    high: F32,
+    first: I64,
+    weights: F32,
+    y_first: I64,
+    y_weights: F32,
     level: np.float32,
     row_start: int,
     row_stop: int,
-    wanted: NDArray[np.int32],
-    kept: NDArray[np.float32],
-    field: NDArray[np.float32],
-    solid: NDArray[np.uint8],
+    wanted: I32,
+    kept: F32,
+    field: F32,
+    solid: U8,
     threshold: bool,
 ) -> None:
     """Layer by layer: coarse rows along z, each as far as any fine row near it wants it, then the fine rows."""

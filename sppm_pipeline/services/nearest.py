@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree, box_tree
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
@@ -21,9 +22,7 @@ def element_tree(corners: NDArray[np.float64]) -> BoxTree:
     return box_tree(np.stack([low, high, high], axis=1))
 
 
-def locate(
-    tree: BoxTree, corners: NDArray[np.float64], points: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def locate(tree: BoxTree, corners: F64, points: F64) -> tuple[I64, F64]:
     """The tetrahedron (n,) around each point, -1 for none, and the weights of its corners (n, 4), barycentric, 0 to 1.
 
     The tree is that of `element_tree`. Where several hold a point, as on a common face, it is the first of them in the
@@ -32,9 +31,7 @@ def locate(
     return _locate(tree.order, tree.boxes, tree.starts, corners, np.ascontiguousarray(points, np.float64))
 
 
-def nearest_in(
-    corners: NDArray[np.float64], tetrahedra: NDArray[np.int64], node: NDArray[np.int64], points: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def nearest_in(corners: F64, tetrahedra: I64, node: I64, points: F64) -> tuple[I64, F64]:
     """For points outside of a mesh a tetrahedron (n,) at the nearest node, and weights (n, 4) of a place in it.
 
     It is the node, or a place in one of the tetrahedra around it where weights that would be negative are zero,
@@ -47,13 +44,7 @@ def nearest_in(
 
 
 @jit
-def _least_outside(
-    corners: NDArray[np.float64],
-    first: NDArray[np.int64],
-    around: NDArray[np.int64],
-    node: NDArray[np.int64],
-    points: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _least_outside(corners: F64, first: I64, around: I64, node: I64, points: F64) -> tuple[I64, F64]:
     found = np.full(points.shape[0], -1, np.int64)
     weights = np.zeros((points.shape[0], 4))
     own = np.empty(4)
@@ -100,12 +91,7 @@ def _squared_to_box(box: NDArray[np.float64], point: NDArray[np.float64]) -> flo
 
 
 @jit
-def _distances(
-    triangles: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    points: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _distances(triangles: F64, boxes: F64, starts: I64, points: F64) -> F64:
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
     distances = np.empty(points.shape[0])
@@ -139,13 +125,7 @@ _OUTSIDE = -1e-9
 
 
 @jit
-def _locate(
-    order: NDArray[np.int64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    corners: NDArray[np.float64],
-    points: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _locate(order: I64, boxes: F64, starts: I64, corners: F64, points: F64) -> tuple[I64, F64]:
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
     found = np.full(points.shape[0], -1, np.int64)

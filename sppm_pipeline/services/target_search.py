@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
+
 MIN_BRACKET = 1e-4
 """Width of a bracket, as a share of the range, at which numbers that still differ too much at its ends are a jump. Ten
 bisections more or less do not change the verdict on a smooth function."""
@@ -285,11 +287,8 @@ def _two(
 
 
 def _plane(
-    trials: dict[Point, Point | None],
-    here: Point,
-    scaled: Callable[[Point], NDArray[np.float64]],
-    residual: Callable[[Point], NDArray[np.float64]],
-) -> NDArray[np.float64]:
+    trials: dict[Point, Point | None], here: Point, scaled: Callable[[Point], F64], residual: Callable[[Point], F64]
+) -> F64:
     """Slopes (2 residuals, 2 parameters) of a plane through one trial, fitted to the others by distance^-4."""
     numbers = trials[here]
     assert numbers is not None

@@ -22,7 +22,7 @@ from sppm_pipeline.method.connecting.trees import (
     periods,
     wrapped,
 )
-from sppm_pipeline.services.distinct import distinct
+from sppm_pipeline.services.arrays import distinct
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import determinants, lengths_in, semi_axes
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbor_reach
+from sppm_pipeline.services.arrays import I32, I64, U8, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 
@@ -97,9 +98,7 @@ def components_of_runs(
 
 
 @jit
-def _box_components(
-    rows: NDArray[np.int64], bounds: NDArray[np.int32], nz: int, ny: int, nx: int, reach: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.uint8]]:
+def _box_components(rows: I64, bounds: I32, nz: int, ny: int, nx: int, reach: int) -> tuple[I32, I64, U8]:
     n_runs = bounds.size // 2
     parent = np.arange(n_runs).astype(np.int32)
     for z in range(nz):
@@ -157,16 +156,7 @@ def _lift(parent: NDArray[np.int32], offset: NDArray[np.int32], c: int) -> tuple
 
 
 @jit
-def _unite(
-    parent: NDArray[np.int32],
-    offset: NDArray[np.int32],
-    wraps: NDArray[np.bool_],
-    a: int,
-    b: int,
-    sx: int,
-    sy: int,
-    sz: int,
-) -> None:
+def _unite(parent: I32, offset: I32, wraps: Bools, a: int, b: int, sx: int, sy: int, sz: int) -> None:
     """Component a touches the image of component b that is shifted by (sx, sy, sz) cells."""
     root_a, ax, ay, az = _lift(parent, offset, a)
     root_b, bx, by, bz = _lift(parent, offset, b)
@@ -191,16 +181,8 @@ def _unite(
 
 @jit
 def _cross_seams(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    in_box: NDArray[np.int32],
-    count: int,
-    nz: int,
-    ny: int,
-    nx: int,
-    reach: int,
-    periodic: NDArray[np.bool_],
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    rows: I64, bounds: I32, in_box: I32, count: int, nz: int, ny: int, nx: int, reach: int, periodic: Bools
+) -> tuple[I32, Bools]:
     """Merge the components of the box across its periodic seams: (root of each, wraps of each root)."""
     parent = np.arange(count).astype(np.int32)
     offset = np.zeros((count, 3), np.int32)
@@ -247,12 +229,7 @@ def _cross_seams(
 
 
 @jit
-def paint_runs(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    value: NDArray[np.int32],
-    out: NDArray[np.int32],
-) -> None:
+def paint_runs(rows: I64, bounds: I32, value: I32, out: I32) -> None:
     """Write value[r] into the voxels of each run r; `out` is (nz, ny, nx) and the rest is left as it is."""
     nz, ny, _ = out.shape
     for z in range(nz):

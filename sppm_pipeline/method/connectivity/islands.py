@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.components import find_components
+from sppm_pipeline.services.arrays import F32, I32, I64, U8, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 Mask = TypeVar("Mask", NDArray[np.bool_], NDArray[np.uint8])
@@ -47,12 +48,7 @@ def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int =
 
 
 @jit
-def clear_runs(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    keep: NDArray[np.bool_],
-    out: NDArray[np.uint8],
-) -> None:
+def clear_runs(rows: I64, bounds: I32, keep: Bools, out: U8) -> None:
     """Set the voxels of the runs that are not kept to 0; `out` is (nz, ny, nx)."""
     nz, ny, _ = out.shape
     for z in range(nz):
@@ -64,14 +60,7 @@ def clear_runs(
 
 
 @jit
-def negate_runs(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    keep: NDArray[np.bool_],
-    size: tuple[int, int, int],
-    start: int,
-    values: NDArray[np.float32],
-) -> None:
+def negate_runs(rows: I64, bounds: I32, keep: Bools, size: tuple[int, int, int], start: int, values: F32) -> None:
     """Turn the sign of samples (planes, ny, nx) in the runs that are not kept; the first plane has the number `start`.
 
     `size` is the shape (nz, ny, nx) in which the runs were found; samples beyond it are periodic images, at most one

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, I64
 from sppm_pipeline.services.bit_rows import clear_span, fill_span
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.union_find import find_root
@@ -15,14 +16,7 @@ from sppm_pipeline.services.union_find import find_root
 
 @inline_jit
 def _touched(
-    bounds: NDArray[np.int32],
-    b: int,
-    b_stop: int,
-    first: int,
-    stop: int,
-    ids: NDArray[np.int32],
-    parent: NDArray[np.int32],
-    found: int,
+    bounds: I32, b: int, b_stop: int, first: int, stop: int, ids: I32, parent: I32, found: int
 ) -> tuple[int, int]:
     """Unite `found` (-1 for none) and the ids of the runs b <= r < b_stop that overlap first <= x < stop.
 
@@ -50,15 +44,7 @@ def _touched(
 
 
 @jit
-def _unite_with(
-    bounds: NDArray[np.int32],
-    b: int,
-    b_stop: int,
-    a: int,
-    reach: int,
-    ids: NDArray[np.int32],
-    parent: NDArray[np.int32],
-) -> None:
+def _unite_with(bounds: I32, b: int, b_stop: int, a: int, reach: int, ids: I32, parent: I32) -> None:
     """Unite the id of a run with those of the runs b <= r < b_stop of another row that it touches."""
     first, stop = bounds[2 * a] - reach, bounds[2 * a + 1] + reach
     low, high = b, b_stop  # the first run that ends behind `first` is sought by halves
@@ -73,15 +59,15 @@ def _unite_with(
 
 @jit
 def layer_ids(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32],
-    ids_below: NDArray[np.int32],
-    ids: NDArray[np.int32],
-    parent: NDArray[np.int32],
-    voxels: NDArray[np.int64],
-    boxes: NDArray[np.int32],
+    rows: I64,
+    bounds: I32,
+    rows_below: I64,
+    bounds_below: I32,
+    ids_below: I32,
+    ids: I32,
+    parent: I32,
+    voxels: I64,
+    boxes: I32,
     known: int,
     largest: int,
     z: int,
@@ -178,15 +164,7 @@ def layer_ids(
 
 @inline_jit
 def _gather(
-    voxels: NDArray[np.int64],
-    boxes: NDArray[np.int32],
-    i: int,
-    count: int,
-    x_low: int,
-    x_high: int,
-    y_low: int,
-    y_high: int,
-    z: int,
+    voxels: I64, boxes: I32, i: int, count: int, x_low: int, x_high: int, y_low: int, y_high: int, z: int
 ) -> None:
     """Add to an id's voxels and box those of some runs of layer z; x_high is the voxel after the last."""
     voxels[i] += count
@@ -197,13 +175,7 @@ def _gather(
 
 
 @jit
-def list_loose(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    ids: NDArray[np.int32],
-    main: int,
-    loose: NDArray[np.int32],
-) -> None:
+def list_loose(rows: I64, bounds: I32, ids: I32, main: int, loose: I32) -> None:
     n = 0
     for y in range(rows.size - 1):
         for r in range(rows[y], rows[y + 1]):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.method.connectivity.runs import neighbor_reach
 from sppm_pipeline.method.connectivity.streaming import resolve
 from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+from sppm_pipeline.services.arrays import I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import unite
 
@@ -79,14 +80,7 @@ class SlabUnion:
 
 @jit
 def _join_border(
-    rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32],
-    labels_below: NDArray[np.int32],
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    labels: NDArray[np.int32],
-    parent: NDArray[np.int32],
-    reach: int,
+    rows_below: I64, bounds_below: I32, labels_below: I32, rows: I64, bounds: I32, labels: I32, parent: I32, reach: int
 ) -> None:
     """Unite the labels of runs that touch across the border of two slabs; the smaller root stays."""
     ny = rows.size - 1

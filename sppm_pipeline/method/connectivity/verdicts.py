@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.runs import Runs
+from sppm_pipeline.services.arrays import I32, I64, Bools
 
 
 class IslandStatistics(NamedTuple):
@@ -38,12 +39,8 @@ class SlabLabels(NamedTuple):
 
 
 def decide(
-    root: NDArray[np.int32],
-    voxels: NDArray[np.int64],
-    boxes: NDArray[np.int32],
-    layers: int,
-    keep: Literal["largest"] | float,
-) -> tuple[NDArray[np.bool_], IslandStatistics]:
+    root: I32, voxels: I64, boxes: I32, layers: int, keep: Literal["largest"] | float
+) -> tuple[Bools, IslandStatistics]:
     """Roots that stay, (n,) bool, and the statistics of the components; `keep` as in `IslandFilter.finish`.
 
     `root` (n,) is that of each label, the smallest one of its component; smaller roots begin at earlier voxels. Voxels

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.occupancy import spans_in_any
+from sppm_pipeline.services.arrays import F32, I32, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.interpolation import (
     BEFORE,
@@ -89,9 +90,9 @@ class FineSampler:
         start: int,
         stop: int,
         threads: int,
-        wanted: NDArray[np.int32] | None,
-        values: NDArray[np.float32] | None,
-        solid: NDArray[np.uint8] | None,
+        wanted: I32 | None,
+        values: F32 | None,
+        solid: U8 | None,
     ) -> None:
         """Write the field, or whether it is solid, in the layers start <= k < stop into one of the last arguments."""
         with self._lock:  # planes are kept from call to call
@@ -196,9 +197,7 @@ class FineSampler:
         return found
 
 
-def _widened(
-    low: NDArray[np.int32], high: NDArray[np.int32], blocks: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _widened(low: I32, high: I32, blocks: int) -> tuple[I32, I32]:
     """Ranges of blocks, one more on either side, joined with those of `NEARBY` rows."""
     low, high = np.where(low < high, low, blocks), np.where(low < high, high, 0)
     wide_low, wide_high = low.copy(), high.copy()

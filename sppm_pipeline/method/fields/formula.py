@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.services.arrays import F32, F64, I32, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import ordered_map
 
@@ -149,22 +150,16 @@ class CellwiseField(PlacedField):
         """Content of a cell for `evaluate`, a function of the cell's place alone."""
 
     @abstractmethod
-    def evaluate(
-        self, prepared: Any, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def evaluate(self, prepared: Any, x: F64, y: F64, z: F64) -> F32:
         """Values at the points of three axes (nx,), (ny,), (nz,), 0 <= x, y, z < 1 within the cell: (nx, ny, nz)."""
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         return self._sampled(grid, start, stop, threads, None)
 
-    def solid_layers(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         return (self._sampled(grid, start, stop, threads, wanted) < 0).view(np.uint8)
 
-    def _sampled(
-        self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
-    ) -> NDArray[np.float32]:
+    def _sampled(self, grid: Grid, start: int, stop: int, threads: int, wanted: I32 | None) -> F32:
         """Values of some layers; 0 in cells of which no row that matters has a sample."""
         axes = [_rounded(grid.axis(axis), False) for axis in range(3)]
         axes[2] = axes[2][start:stop]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.method.assembly.occupancy import spans_in_any
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.nouns.size import PAYING_SHARE, PAYING_SHARE_OF_PATCHES
+from sppm_pipeline.services.arrays import F32, I32, U8, U64
 from sppm_pipeline.services.bit_rows import unpack
 from sppm_pipeline.services.grid import Grid, sample_one_period
 
@@ -48,9 +49,7 @@ class _Placed(NamedTuple):
         rows = None if wanted is None else spans_in_any(wanted)
         return assemble(*self.patches, *self._box(start, stop), threads=threads, wanted=rows)
 
-    def bits(
-        self, level: float, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint64]:
+    def bits(self, level: float, start: int, stop: int, threads: int, wanted: I32 | None = None) -> U64:
         """Bits of the samples where G lies below the level."""
         from sppm_pipeline.method.assembly.overlap_add import assemble_bits
 
@@ -78,9 +77,7 @@ class KernelSum(ScalarField):
         """The level C."""
 
     @abstractmethod
-    def kernel_sums(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.float32]:
+    def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         """G in the layers start <= k < stop of any grid (cell sizes), kernel by kernel; not less than zero.
 
         A layer's values depend neither on start and stop nor on the number of threads; `wanted` as for `solid_layers`.
@@ -152,9 +149,7 @@ class KernelSum(ScalarField):
 
         return self._each_once(grid, start, stop, values).T
 
-    def solid_layers(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
             if not self.additive:
                 return (self.own_values(grid, start, stop, threads) < 0).view(np.uint8)
@@ -172,9 +167,7 @@ class KernelSum(ScalarField):
 
         return self._each_once(grid, start, stop, solid).T
 
-    def solid_bits(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint64]:
+    def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         # the only way that makes bits without bytes in between
         summed = not self.periodic and self.additive and self._fine(grid, threads) is None
         if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
@@ -191,9 +184,7 @@ class KernelSum(ScalarField):
     ) -> NDArray[Any]:
         return sample_one_period(grid, self.cells, start, stop, sample) if self.periodic else sample(grid, start, stop)
 
-    def _summed(
-        self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
-    ) -> NDArray[np.float32]:
+    def _summed(self, grid: Grid, start: int, stop: int, threads: int, wanted: I32 | None) -> F32:
         placed = self._placed(grid, threads)
         if placed is None:
             return self.kernel_sums(grid, start, stop, threads, wanted)

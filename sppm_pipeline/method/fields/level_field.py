@@ -14,6 +14,7 @@ from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.method.kernels.level_spline import LayerSpline
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.arrays import F32, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import in_bands
 
@@ -85,15 +86,11 @@ class LevelField(WrappedField, KernelSum):
         pitch = self.base.coarse_pitch if isinstance(self.base, KernelSum) else None
         return None if pitch is None or not self._narrowing else pitch * min(1.0, self._narrowing / NARROWED)
 
-    def kernel_sums(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.float32]:
+    def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         assert isinstance(self.base, KernelSum)
         return self._over_level(self.base.kernel_sums(grid, start, stop, threads, wanted), grid, start, threads, wanted)
 
-    def _summed(
-        self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
-    ) -> NDArray[np.float32]:
+    def _summed(self, grid: Grid, start: int, stop: int, threads: int, wanted: I32 | None) -> F32:
         # by patches of the field that repeats, where it has such
         assert isinstance(self.base, KernelSum)
         return self._over_level(self.base._summed(grid, start, stop, threads, wanted), grid, start, threads, wanted)
@@ -114,9 +111,7 @@ class LevelField(WrappedField, KernelSum):
         steps = [np.abs(np.diff(self.control, axis=axis)).max(initial=0) for axis in range(3)]
         return base.sign_sampler(grid, Levels(mean, least, most, self.per_cell * float(max(steps))), self._spline)
 
-    def _over_level(
-        self, sums: NDArray[np.float32], grid: Grid, start: int, threads: int, wanted: NDArray[np.int32] | None
-    ) -> NDArray[np.float32]:
+    def _over_level(self, sums: F32, grid: Grid, start: int, threads: int, wanted: I32 | None) -> F32:
         """G in some layers becomes G / C times the mean level, where it is wanted."""
         mean, spline = float(np.float32(self.control.mean())), self._spline(grid, start, start + len(sums))
 

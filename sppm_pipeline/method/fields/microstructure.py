@@ -20,6 +20,7 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.services.arrays import F32, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.metric import check_metric
 
@@ -164,14 +165,8 @@ class Microstructure(KernelSum):
         return PeriodicTile(self, interior, colors)
 
     def laid_sums(
-        self,
-        arrays: TilingArrays,
-        grid: Grid,
-        start: int,
-        stop: int,
-        threads: int = 1,
-        wanted: NDArray[np.int32] | None = None,
-    ) -> NDArray[np.float32]:
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None
+    ) -> F32:
         """The sum G of all kernels of a layout, which `KernelSum.kernel_sums` asks for."""
         from sppm_pipeline.method.assembly.gather import sample_exact
 
@@ -218,9 +213,7 @@ class Microstructure(KernelSum):
         kernels = self.pieces.kernels
         return finest_pitch(*steepest(kernels), kernels.profile, self.level)
 
-    def kernel_sums(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.float32]:
+    def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
         return self.alone(0, (0, 0, 0)).kernel_sums(grid, start, stop, threads, wanted)
@@ -275,9 +268,7 @@ class PeriodicTile(WrappedField, KernelSum):
     def coarse_pitch(self) -> float | None:
         return self.base.coarse_pitch
 
-    def kernel_sums(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.float32]:
+    def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
 
     def sign_sampler(

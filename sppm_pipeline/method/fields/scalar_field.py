@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.services.arrays import I32, U8, U64
 from sppm_pipeline.services.grid import Grid, cell_centers
 
 RESOLVED = 1.2
@@ -105,9 +106,7 @@ class ScalarField(Artifact, ABC):
     def _grid(self, grid: Grid | int) -> Grid:
         return grid if isinstance(grid, Grid) else cell_centers(grid, self.cells)
 
-    def solid_layers(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs.
 
         `wanted` (stop - start, ny, 2) names, by layer and row, the first sample of the row that matters and the one
@@ -126,15 +125,11 @@ class ScalarField(Artifact, ABC):
         """
         return False
 
-    def solid_zyx(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
+    def solid_zyx(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)
 
-    def solid_bits(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint64]:
+    def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         """`solid_layers` as bits, (stop - start, ny, words), see `services.bit_rows`; a class may make them at once."""
         from sppm_pipeline.services.bit_rows import pack
 

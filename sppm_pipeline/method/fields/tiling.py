@@ -13,7 +13,7 @@ from sppm_pipeline.method.assembly.contents import TilingArrays, check_tiling
 from sppm_pipeline.method.fields.kernel_sum import KernelSum, Patches
 from sppm_pipeline.method.fields.microstructure import CUTOFF, sampling_tables
 from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.services.distinct import distinct
+from sppm_pipeline.services.arrays import F32, I32, distinct
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
@@ -123,9 +123,7 @@ class Tiling(KernelSum):
     def exactly(self) -> Tiling:
         return replace(self, exact=True)
 
-    def kernel_sums(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.float32]:
+    def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         return self.tileset.micro.laid_sums(self.arrays, grid, start, stop, threads, wanted)
 
     def sign_sampler(

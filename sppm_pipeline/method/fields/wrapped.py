@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.arrays import I32, U8
 from sppm_pipeline.services.grid import Grid
 
 
@@ -65,9 +66,7 @@ class RepeatedField(WrappedField):
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         return self.base.sample_layers(grid, start, stop, threads)
 
-    def solid_layers(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         return self.base.solid_layers(grid, start, stop, threads, wanted)
 
     def summary(self) -> dict[str, Any]:

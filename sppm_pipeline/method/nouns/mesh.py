@@ -21,6 +21,7 @@ from sppm_pipeline.nouns.artifact import (
     optional_module,
     whole_numbers,
 )
+from sppm_pipeline.services.arrays import F64, I32
 from sppm_pipeline.services.paging import blocks
 
 if TYPE_CHECKING:
@@ -69,13 +70,7 @@ class SurfaceMesh(Viewable):
         return mesh
 
     @classmethod
-    def measured(
-        cls,
-        vertices: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        name: str,
-        box_and_volume: tuple[NDArray[np.float64], NDArray[np.float64], float],
-    ) -> SurfaceMesh:
+    def measured(cls, vertices: F64, faces: I32, name: str, box_and_volume: tuple[F64, F64, float]) -> SurfaceMesh:
         """A mesh whose low corner, high corner and volume are known already."""
         mesh = cls(vertices, faces, name)
         mesh.__dict__["_measured"] = box_and_volume  # where the property would keep them

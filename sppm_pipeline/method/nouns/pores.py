@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.nouns.length import Cell, parse_length
 from sppm_pipeline.nouns.palette import Blocks
-from sppm_pipeline.services.distinct import distinct
+from sppm_pipeline.services.arrays import distinct
 
 _ROUNDING = 1e-9
 """Distance, in cell sizes, that a pore may lie outside of its cell by rounding."""

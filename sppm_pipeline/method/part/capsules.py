@@ -6,16 +6,16 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, F64
 from sppm_pipeline.services.grid import Grid
 
 Window = tuple[slice, slice, slice]
 
 
 def depths_in_capsules(
-    grid: Grid, capsules: Sequence[Sequence[float]] | NDArray[np.float64], margin: float = 0.0
-) -> Iterator[tuple[Window, NDArray[np.float32]]]:
+    grid: Grid, capsules: Sequence[Sequence[float]] | F64, margin: float = 0.0
+) -> Iterator[tuple[Window, F32]]:
     """Windows (slices along z, y, x) that hold samples in capsules, with their depths (nz, ny, nx).
 
     Capsules (n, 7) are both ends (x, y, z) of a segment and the radius. Depths are the radius minus the distance from

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, U8, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
@@ -20,9 +21,7 @@ SLACK = 1.0 + 1e-6
 """A distance that equals the thickness up to rounding counts as within, as in `skin_layers`."""
 
 
-def faces_toward(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], directions: ArrayLike, angle: float
-) -> NDArray[np.bool_]:
+def faces_toward(vertices: F64, faces: I32, directions: ArrayLike, angle: float) -> Bools:
     """Triangles whose normal is within an angle (degrees) of one of some directions (n, 3); (m,) bool.
 
     Triangles without an area have no normal, and are never chosen.
@@ -39,9 +38,7 @@ def faces_toward(
     return chosen
 
 
-def faces_within(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], others: NDArray[np.float64], distance: float
-) -> NDArray[np.bool_]:
+def faces_within(vertices: F64, faces: I32, others: F64, distance: float) -> Bools:
     """Triangles of which all corners are within a distance of other triangles (k, 3, 3); (m,) bool."""
     # sorted along x, so that a triangle looks at the points between two planes only
     order = np.argsort(vertices[:, 0], kind="stable")
@@ -71,14 +68,7 @@ def _near_points(
             found[i] = squared_to_triangle(t, x, y, z) <= reach * reach
 
 
-def add_skin_on(
-    triangles: NDArray[np.float64],
-    grid: Grid,
-    start: int,
-    thickness: float,
-    inside: NDArray[np.uint8],
-    solid: NDArray[np.uint8],
-) -> None:
+def add_skin_on(triangles: F64, grid: Grid, start: int, thickness: float, inside: U8, solid: U8) -> None:
     """Make voxels solid that are inside and whose center is within a distance of some triangles (m, 3, 3); in place.
 
     The arrays (nz, ny, nx) hold layers of the grid from `start` on; how they are cut changes nothing.
@@ -90,15 +80,7 @@ def add_skin_on(
 
 
 @jit
-def _paint(
-    triangles: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    start: int,
-    reach: float,
-    inside: NDArray[np.uint8],
-    solid: NDArray[np.uint8],
-) -> None:
+def _paint(triangles: F64, origin: F64, spacing: F64, start: int, reach: float, inside: U8, solid: U8) -> None:
     nz, ny, nx = solid.shape
     ends = np.empty(2)
     frame = np.empty((4, 3))
@@ -144,15 +126,7 @@ def _frame(t: NDArray[np.float64], frame: NDArray[np.float64]) -> bool:
 
 
 @jit
-def _row_interval(
-    t: NDArray[np.float64],
-    frame: NDArray[np.float64],
-    plane: bool,
-    y: float,
-    z: float,
-    reach: float,
-    ends: NDArray[np.float64],
-) -> None:
+def _row_interval(t: F64, frame: F64, plane: bool, y: float, z: float, reach: float, ends: F64) -> None:
     """Least and greatest x within reach of a triangle on a line along x; the least is greater if there is none."""
     low, high = np.inf, -np.inf
     if plane:  # the slab: |n (p - a)| <= reach, and inside of all three edges

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -62,16 +63,16 @@ def grid_crossings(
 
 @jit
 def _cross(
-    triangles: NDArray[np.float64],
-    near: NDArray[np.int32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    shape: NDArray[np.int64],
+    triangles: F64,
+    near: I32,
+    origin: F64,
+    spacing: F64,
+    shape: I64,
     start: int,
     stop: int,
-    edges: NDArray[np.int64],
-    shares: NDArray[np.float64],
-    owners: NDArray[np.int32],
+    edges: I64,
+    shares: F64,
+    owners: I32,
 ) -> int:
     """Number of crossings; as many as there is room for are written."""
     n = 0

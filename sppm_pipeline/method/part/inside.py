@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.method.part.ray_crossings import Scan, prepare_scan
 from sppm_pipeline.method.part.scanline import Occupancy, ThreeAxisScan, prepare_three_axis, scan_layers, vote_layers
 from sppm_pipeline.method.part.spanned import SpannedScan, prepare_spanned, spanned_layers
+from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.measures import balanced_edges, bounds
@@ -89,13 +90,8 @@ def inside_layers(scan: Scan | SpannedScan | ThreeAxisScan, start: int, stop: in
 
 
 def cells_touched(
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    origin: NDArray[np.float64],
-    edge: float,
-    shape: tuple[int, int, int],
-    closed: bool = True,
-) -> NDArray[np.bool_]:
+    vertices: ArrayLike, faces: ArrayLike, origin: F64, edge: float, shape: tuple[int, int, int], closed: bool = True
+) -> Bools:
     """Cells (nx, ny, nz) that contain a piece of the part: those met by a triangle, and those inside.
 
     Of a triangle no larger than two cells, those met by its box: some may be listed in vain, and none is left out. A

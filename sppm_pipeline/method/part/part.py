@@ -15,6 +15,7 @@ from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.capsules import depths_in_capsules
 from sppm_pipeline.method.part.domain_sampler import DomainSampler
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.arrays import F32, I32, U8, U64
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
@@ -153,9 +154,7 @@ class Part(WrappedField):
         inner = self.base.sample_zyx(grid, start, stop, threads)
         return self._filled_and_drained_field(inner, None, grid, start, stop), None, inside
 
-    def _filled_and_drained_field(
-        self, inner: NDArray[np.float32], skin: NDArray[np.float32] | None, grid: Grid, start: int, stop: int
-    ) -> NDArray[np.float32]:
+    def _filled_and_drained_field(self, inner: F32, skin: F32 | None, grid: Grid, start: int, stop: int) -> F32:
         """The microstructure's field with fills in it and drains taken out, of the skin's as well, which is changed."""
         if not (len(self.fills) or len(self.drains)):
             return inner
@@ -193,9 +192,7 @@ class Part(WrappedField):
         inner = self.base.sample_zyx(grid, start, stop, threads)
         return self._filled_and_drained_field(inner, None, grid, start, stop), None, outer, crossings
 
-    def solid_layers(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         return self._solid_inside_skin(grid, start, stop, threads)[0].T
 
     def _solid_inside_skin(
@@ -227,9 +224,7 @@ class Part(WrappedField):
             solid |= skin
         return self._filled_and_drained(solid, inside, grid, start, stop), inside, skin
 
-    def solid_bits(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint64]:
+    def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         return self.counted_bits(grid, start, stop, threads)[0]
 
     def counted_bits(
@@ -255,9 +250,7 @@ class Part(WrappedField):
         self._in_domain(grid).inside(0, 0)
         return True
 
-    def _filled_and_drained(
-        self, solid: NDArray[np.uint8], inside: NDArray[np.uint8], grid: Grid, start: int, stop: int
-    ) -> NDArray[np.uint8]:
+    def _filled_and_drained(self, solid: U8, inside: U8, grid: Grid, start: int, stop: int) -> U8:
         """The layers with what fills add in the domain, and without what drains take away."""
         layers = self.in_mm(grid).layers(start, stop)
         for window, depth in depths_in_capsules(layers, self.fills):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -104,8 +105,8 @@ def _first_at(origin: float, spacing: float, start: int, stop: int, value: float
 
 @jit
 def _list_by_chunks(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], origin: float, spacing: float, n_layer: int, chunk: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    vertices: F64, faces: I32, origin: float, spacing: float, n_layer: int, chunk: int
+) -> tuple[I64, I32]:
     n_chunks = (n_layer + chunk - 1) // chunk
     span = np.empty((faces.shape[0], 2), np.int32)
     starts = np.zeros(n_chunks + 1, np.int64)
@@ -148,16 +149,8 @@ def _sort_short(values: NDArray[np.int64], start: int, stop: int) -> None:
 
 @jit
 def _crossings(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    listed: NDArray[np.int32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    n_ray: int,
-    n_row: int,
-    first: int,
-    last: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    vertices: F64, faces: I32, listed: I32, origin: F64, spacing: F64, n_ray: int, n_row: int, first: int, last: int
+) -> tuple[I64, I64]:
     """The starts and keys of `ray_crossings` for layers first <= k < last, of the triangles that are listed."""
     rows = np.empty(1024, np.int32)
     found = np.empty(1024, np.int64)

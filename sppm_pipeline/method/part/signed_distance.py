@@ -13,14 +13,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
 
 
-def distance_layers(
-    triangles: NDArray[np.float64], grid: Grid, start: int, stop: int, reach: float
-) -> NDArray[np.float32]:
+def distance_layers(triangles: F64, grid: Grid, start: int, stop: int, reach: float) -> F32:
     """Distance of the layers start <= k < stop of a grid from the nearest of some triangles (m, 3, 3), without a sign.
 
     What lies farther off than the reach gets the reach. Up to a reach of one spacing the distances are exact, and so
@@ -66,13 +65,7 @@ def reach_bare_borders(
 
 
 @jit
-def _near_band(
-    triangles: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    squared: NDArray[np.float32],
-    nearest: NDArray[np.int32],
-) -> None:
+def _near_band(triangles: F64, origin: F64, spacing: F64, squared: F32, nearest: I32) -> None:
     """Exact distances within two spacings of each triangle's box."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(triangles.shape[0]):
@@ -95,13 +88,7 @@ def _near_band(
 
 
 @jit
-def _sweep(
-    triangles: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    squared: NDArray[np.float32],
-    nearest: NDArray[np.int32],
-) -> None:
+def _sweep(triangles: F64, origin: F64, spacing: F64, squared: F32, nearest: I32) -> None:
     """Offer each sample the triangles of its neighbors behind it, in all eight directions of travel."""
     nz, ny, nx = squared.shape
     # one sweep for each octant that the nearest triangle may lie in (fast sweeping)

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import U8
 from sppm_pipeline.services.jit.compiled import jit
 
 # a distance that equals the thickness up to rounding counts as within
@@ -27,13 +28,7 @@ def halo_layers(thickness: float, spacing: float) -> int:
     return math.floor(thickness / spacing * _SLACK)
 
 
-def skin_layers(
-    occupancy: NDArray[np.uint8],
-    spacing: tuple[float, float, float],
-    thickness: float,
-    below: int,
-    above: int,
-) -> NDArray[np.uint8]:
+def skin_layers(occupancy: U8, spacing: tuple[float, float, float], thickness: float, below: int, above: int) -> U8:
     """The skin of some layers, (n, ny, nx): voxels inside whose center is within the thickness of one outside.
 
     `occupancy` has `below` and `above` layers more, that are only looked at: `halo_layers` of them or, at the ends of
@@ -96,7 +91,7 @@ def _state(block: NDArray[np.float32]) -> int:
 
 @jit
 def _skin(
-    occupancy: NDArray[np.uint8],
+    occupancy: U8,
     below: int,
     hx: np.float32,
     hy: np.float32,
@@ -105,7 +100,7 @@ def _skin(
     ry: int,
     rz: int,
     limit: np.float32,
-    skin: NDArray[np.uint8],
+    skin: U8,
 ) -> None:
     nz, ny, nx = skin.shape
     halo_nz = occupancy.shape[0]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.method.part.ray_crossings import Scan, as_mesh, prepare_scan
 from sppm_pipeline.method.part.scanline import Occupancy, scan_layers
+from sppm_pipeline.services.arrays import F64, I32, I64, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, box_tree
@@ -44,9 +45,7 @@ class SpannedScan(NamedTuple):
     grid: Grid
 
 
-def spanning_triangles(
-    vertices: NDArray[np.float64], faces: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def spanning_triangles(vertices: F64, faces: NDArray[np.integer]) -> tuple[F64, I32]:
     """Triangles that make a mesh closed: from each edge that is left over to the middle of its boundary loop.
 
     An edge is left over as often as it runs more in one direction than in the other. At every vertex as many of them
@@ -131,13 +130,7 @@ def _node_areas(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> ND
 
 
 @jit
-def _seen_under(
-    boxes: NDArray[np.float64],
-    areas: NDArray[np.float64],
-    waiting: NDArray[np.int64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> float:
+def _seen_under(boxes: F64, areas: F64, waiting: I64, low: F64, high: F64) -> float:
     """A bound of the winding number of triangles at all points of a box."""
     leaves = (areas.size + 1) // 2
     bound = 0.0
@@ -167,14 +160,7 @@ def _seen_under(
 
 
 @jit
-def _within(
-    triangles: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    waiting: NDArray[np.int64],
-    point: NDArray[np.float64],
-    limit: float,
-) -> bool:
+def _within(triangles: F64, boxes: F64, starts: I64, waiting: I64, point: F64, limit: float) -> bool:
     """Test whether a triangle lies nearer to a point than a distance, given squared."""
     leaves = starts.size - 1
     waiting[0] = 0
@@ -199,14 +185,7 @@ def _within(
 
 
 @jit
-def _range(
-    triangles: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    poles: NDArray[np.float64],
-    waiting: NDArray[np.int64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> tuple[float, float, float]:
+def _range(triangles: F64, starts: I64, poles: F64, waiting: I64, low: F64, high: F64) -> tuple[float, float, float]:
     """Least and largest winding number at the corners and in the middle of a box, and that in the middle.
 
     Half a diagonal off all triangles the number is smooth (it solves Laplace's equation), so that these tell how far
@@ -224,19 +203,19 @@ def _range(
 
 @jit
 def _correct(
-    triangles: NDArray[np.float64],
-    mesh_boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    poles: NDArray[np.float64],
-    spans: NDArray[np.float64],
-    span_boxes: NDArray[np.float64],
-    span_starts: NDArray[np.int64],
-    span_poles: NDArray[np.float64],
-    areas: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
+    triangles: F64,
+    mesh_boxes: F64,
+    starts: I64,
+    poles: F64,
+    spans: F64,
+    span_boxes: F64,
+    span_starts: I64,
+    span_poles: F64,
+    areas: F64,
+    origin: F64,
+    spacing: F64,
     start: int,
-    mask: NDArray[np.uint8],
+    mask: U8,
 ) -> int:
     """Decide the voxels near spanning triangles by the winding number of the mesh; how many remain undecided.
 

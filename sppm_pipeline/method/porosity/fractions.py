@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
@@ -66,13 +67,13 @@ def _add_fractions(samples: NDArray[np.float32], k: Any, shift: float, out: NDAr
 
 
 def solid_fractions(
-    sample_layers: Callable[[Grid, int, int], NDArray[np.float32]],
+    sample_layers: Callable[[Grid, int, int], F32],
     shape: tuple[int, int, int],
     resolution: int,
     parts: int = 2,
     *,
     shift: float = 0.0,
-) -> NDArray[np.float32]:
+) -> F32:
     """Fraction of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
 
     Each voxel is cut into ``parts^3``; in each part the field is taken for a plane, with its mean and slope from the

@@ -31,7 +31,7 @@ from sppm_pipeline.method.sampling.cell_list import add_points, empty_cell_list,
 from sppm_pipeline.method.sampling.darts import throw
 from sppm_pipeline.method.sampling.faces import FILLED, face_counts, throw_in_turn
 from sppm_pipeline.method.sampling.many import patterns_apart
-from sppm_pipeline.services.distinct import distinct
+from sppm_pipeline.services.arrays import distinct
 
 MAX_GAP = math.sqrt(3.0)
 """Widest distance of two sites, spacings: what keeps one spacing from both lies half a spacing away from the edge."""

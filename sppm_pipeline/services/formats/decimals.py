@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64, U64
 from sppm_pipeline.services.formats.encoding import Bytes, leading_zeros, store8, trailing_zeros
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -68,14 +69,7 @@ def _room(rows: int, words: Words) -> Bytes:
 
 
 @jit
-def _put_vertices(
-    out: Bytes,
-    points: NDArray[np.float64],
-    scale: float,
-    decimals: int,
-    texts: NDArray[np.uint64],
-    lengths: NDArray[np.int64],
-) -> int:
+def _put_vertices(out: Bytes, points: F64, scale: float, decimals: int, texts: U64, lengths: I64) -> int:
     short = 0 <= decimals <= 8
     power = _POWERS[decimals] if short else 1
     lift = _POWERS[8 - decimals] if short else 1

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, U8
 from sppm_pipeline.services.bit_rows import bit_index
 from sppm_pipeline.services.formats.prefix_codes import (
     LONGEST_CODE,
@@ -228,15 +229,8 @@ def _symbol_counts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
 
 @jit
 def _written(
-    tokens: NDArray[np.uint16],
-    counts: NDArray[np.int32],
-    check: int,
-    lengths: NDArray[np.int32],
-    used: int,
-    short: NDArray[np.int32],
-    symbols: NDArray[np.int32],
-    extras: NDArray[np.int32],
-) -> NDArray[np.uint8]:
+    tokens: NDArray[np.uint16], counts: I32, check: int, lengths: I32, used: int, short: I32, symbols: I32, extras: I32
+) -> U8:
     """The stream: header, one block with codes of its own, check sum.
 
     `lengths` are those of the codes of symbols, of which the first `used` are written as `symbols` with `extras`, whose

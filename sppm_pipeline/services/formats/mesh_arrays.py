@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.arrays import I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 DecodedMesh = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -129,13 +130,7 @@ def merge_equal(rows: NDArray[np.float32] | NDArray[np.int32]) -> tuple[NDArray[
 
 @jit
 def _merge(
-    bits: NDArray[np.uint32],
-    row: int,
-    recent: NDArray[np.uint32],
-    slots: NDArray[np.int32],
-    first: NDArray[np.int64],
-    count: int,
-    numbers: NDArray[np.int32],
+    bits: NDArray[np.uint32], row: int, recent: NDArray[np.uint32], slots: I32, first: I64, count: int, numbers: I32
 ) -> tuple[int, int]:
     """Number rows from `row` on until all are done, or `first` is full; returns the next row and the count."""
     mask = np.int64(slots.size - 1)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root, unite
 
@@ -153,9 +154,7 @@ def _surfaces(opposite: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 
 
 @jit
-def _boundary_loops(
-    half_edges: NDArray[np.int64], fans: NDArray[np.int64], fan_count: int
-) -> tuple[NDArray[np.int64], int]:
+def _boundary_loops(half_edges: I64, fans: I64, fan_count: int) -> tuple[I64, int]:
     """The loop of each boundary half-edge; it continues at the other end of an open vertex fan."""
     last = np.full(fan_count, -1, np.int64)
     parent = np.arange(half_edges.size)

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN, Mesh, joined_mesh, marching_cubes_slabs
 
@@ -130,15 +131,7 @@ def capped_marching_cubes_slabs(
         yield vertices, faces
 
 
-def _void_around(
-    room: NDArray[np.float32],
-    ahead: NDArray[np.float32],
-    slab: NDArray[np.float32],
-    pad: NDArray[np.int64],
-    layers: int,
-    outside: int,
-    border: NDArray[np.float32],
-) -> NDArray[np.float32]:
+def _void_around(room: F32, ahead: F32, slab: F32, pad: I64, layers: int, outside: int, border: F32) -> F32:
     """The planes `ahead` and of a slab with (repeated samples and) void around them in x and y.
 
     `outside` planes of void, and of repeats of the plane `border`, come before them; if it is negative, after them.
@@ -169,15 +162,7 @@ def _void_around(
 
 
 @jit
-def _move_to_border(
-    vertices: NDArray[np.float64],
-    capped: NDArray[np.bool_],
-    step: NDArray[np.float64],
-    first: NDArray[np.float64],
-    last: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> None:
+def _move_to_border(vertices: F64, capped: Bools, step: F64, first: F64, last: F64, low: F64, high: F64) -> None:
     """Move vertices in or beyond the outermost planes of samples (first, last) into the border (low, high)."""
     # Vertices keep EDGE_MARGIN off the planes of samples unless they lie in them, so a quarter of it separates them.
     slack, inset = EDGE_MARGIN / 4, EDGE_MARGIN / 2

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8, U64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_tables import case_tables
 from sppm_pipeline.services.mesh.sign_words import (
@@ -54,16 +55,16 @@ def _share(a: float, b: float, level: float) -> float:
 
 @jit
 def _emit_plane(
-    plane: NDArray[np.float32],
-    words: NDArray[np.uint64],
+    plane: F32,
+    words: U64,
     z: float,
     level: float,
-    frame: NDArray[np.float64],
+    frame: F64,
     n: int,
     start: int,
-    base_x: NDArray[np.int64],
-    base_y: NDArray[np.int64],
-    vertices: NDArray[np.float64],
+    base_x: I64,
+    base_y: I64,
+    vertices: F64,
 ) -> int:
     """Vertices on the edges along x and y of one plane; base_x and base_y get each row's first vertex."""
     ny, nx = plane.shape
@@ -96,17 +97,17 @@ def _emit_plane(
 
 @jit
 def _emit_pillars(
-    low: NDArray[np.float32],
-    high: NDArray[np.float32],
-    words_low: NDArray[np.uint64],
-    words_high: NDArray[np.uint64],
+    low: F32,
+    high: F32,
+    words_low: U64,
+    words_high: U64,
     k: int,
     level: float,
-    frame: NDArray[np.float64],
+    frame: F64,
     n: int,
     start: int,
-    base_z: NDArray[np.int64],
-    vertices: NDArray[np.float64],
+    base_z: I64,
+    vertices: F64,
 ) -> int:
     """Vertices on the edges along z between planes k and k + 1."""
     for j in range(low.shape[0]):
@@ -125,16 +126,7 @@ def _emit_pillars(
 
 
 @jit
-def _emit_faces(
-    low: NDArray[np.uint64],
-    high: NDArray[np.uint64],
-    nx: int,
-    base: NDArray[np.int64],
-    counts: NDArray[np.uint8],
-    table: NDArray[np.uint8],
-    m: int,
-    faces: NDArray[np.int32],
-) -> int:
+def _emit_faces(low: U64, high: U64, nx: int, base: I64, counts: U8, table: U8, m: int, faces: I32) -> int:
     """Triangles of the cubes between two planes.
 
     The rows of `base` hold the first vertex of each row on: x edges below, y edges below, x edges above, y edges
@@ -185,19 +177,19 @@ def _emit_faces(
 
 @jit
 def _emit(
-    carry: NDArray[np.float32],
-    slab: NDArray[np.float32],
-    words: NDArray[np.uint64],
+    carry: F32,
+    slab: F32,
+    words: U64,
     first: bool,
     k0: int,
     level: float,
-    frame: NDArray[np.float64],
-    counts: NDArray[np.uint8],
-    table: NDArray[np.uint8],
+    frame: F64,
+    counts: U8,
+    table: U8,
     start: int,
-    base: NDArray[np.int64],
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
+    base: I64,
+    vertices: F64,
+    faces: I32,
 ) -> tuple[int, int]:
     """Fill the vertices and faces of a slab; words[0] and `carry` are the plane before it, k0 its first plane's number.
 

@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.paging import blocks
 from sppm_pipeline.services.union_find import find_root, unite
@@ -330,16 +331,7 @@ def _components(faces: NDArray[np.int32], n: int) -> tuple[int, NDArray[np.int32
 
 
 @jit
-def add_sums(
-    points: NDArray[np.float64],
-    base: int,
-    faces: NDArray[np.int32],
-    rims: NDArray[np.float64],
-    scale: float,
-    origin: NDArray[np.float64],
-    start: NDArray[np.float64],
-    found: NDArray[np.float64],
-) -> None:
+def add_sums(points: F64, base: int, faces: I32, rims: F64, scale: float, origin: F64, start: F64, found: F64) -> None:
     """Add six volumes, two areas and the flat triangles to what was found, and widen the box.
 
     `points` begin with vertex number `base`; a corner -1 - p lies at ``rims[p] * scale + origin``.

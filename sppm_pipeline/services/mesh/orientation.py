@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.adjacency import adjacency
 from sppm_pipeline.services.mesh.box_tree import BoxTree, box_tree
@@ -110,9 +111,7 @@ def _areas(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @jit
-def _volumes(
-    points: NDArray[np.float64], faces: NDArray[np.int32], labels: NDArray[np.int32], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _volumes(points: F64, faces: I32, labels: I32, count: int) -> tuple[I64, F64]:
     """First triangle and signed volume of each piece, from its first corner: a small piece far off loses no digits."""
     first, volumes = np.full(count, -1, np.int64), np.zeros(count)
     a, b, c = np.empty(3), np.empty(3), np.empty(3)
@@ -130,13 +129,7 @@ def _volumes(
     return first, volumes
 
 
-def _turn_patches(
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    opposite: NDArray[np.int64],
-    labels: NDArray[np.int32],
-    n: int,
-) -> None:
+def _turn_patches(points: F64, faces: I32, opposite: I64, labels: I32, n: int) -> None:
     """Turn, in place, patches that are wound inwards as a whole: first the open ones, then the closed ones."""
     is_open = np.zeros(n, np.bool_)
     is_open[labels[np.flatnonzero(opposite < 0) // 3]] = True
@@ -163,9 +156,7 @@ def _turn_patches(
             faces[wrong[labels]] = faces[wrong[labels]][:, ::-1]
 
 
-def _samples(
-    triangles: NDArray[np.float64], labels: NDArray[np.int32], selected: NDArray[np.bool_], n: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def _samples(triangles: F64, labels: I32, selected: Bools, n: int) -> tuple[F64, F64, I64]:
     """Points spread evenly over the area of each selected patch, with normals and triangles."""
     order = np.argsort(labels, kind="stable")
     areas = _areas(triangles)[order]
@@ -197,9 +188,7 @@ def _around(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @jit
-def _agree(
-    faces: NDArray[np.int64], opposite: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], NDArray[np.int32], int, int]:
+def _agree(faces: I64, opposite: I64) -> tuple[Bools, I32, int, int]:
     """Which triangles to turn so that all agree with the first of their patch; patches; and how many are one-sided."""
     flips = np.zeros(faces.shape[0], np.bool_)
     labels = np.full(faces.shape[0], -1, np.int32)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.adjacency import adjacency
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree, box_tree
@@ -115,13 +116,7 @@ def _meeting(tree: BoxTree, tolerance: float) -> tuple[NDArray[np.int64], NDArra
 
 
 @jit
-def _find_pairs(
-    triangles: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    tolerance: float,
-    pairs: NDArray[np.int64],
-) -> int:
+def _find_pairs(triangles: F64, boxes: F64, starts: I64, tolerance: float, pairs: I64) -> int:
     """Number of pairs, each counted from both sides; as many as there is room for are written, as places of the tree.
 
     Rounded arithmetic with a tolerance: a pair that is missed by a hair has a cut too short to matter.
@@ -213,14 +208,7 @@ def _frame(t: NDArray[np.float64], tolerance: float, frame: NDArray[np.float64],
 
 
 @jit
-def _segments_in(
-    t: NDArray[np.float64],
-    u: NDArray[np.float64],
-    frame: NDArray[np.float64],
-    tolerance: float,
-    others: NDArray[np.float64],
-    segments: NDArray[np.float64],
-) -> int:
+def _segments_in(t: F64, u: F64, frame: F64, tolerance: float, others: F64, segments: F64) -> int:
     """Segments (x, y, x, y) that triangle u has in the plane of t: none, one, or its three edges if it lies in it."""
     h0, h1, h2 = 0.0, 0.0, 0.0
     for a in range(3):
@@ -312,9 +300,7 @@ def _divides(
 
 
 @jit
-def _dividing(
-    piece: NDArray[np.float64], segments: NDArray[np.float64], candidates: NDArray[np.int64], tolerance: float
-) -> NDArray[np.int64]:
+def _dividing(piece: F64, segments: F64, candidates: I64, tolerance: float) -> I64:
     """Those of some segments that cross the inside of a triangle, in their order."""
     found, sides, n = np.empty(candidates.size, np.int64), np.empty(3), 0
     for s in candidates:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree
 from sppm_pipeline.services.mesh.predicates import side_of_line, side_of_plane
@@ -15,9 +16,7 @@ SAMPLES = 100_000
 """Points of the surface from which the thickness is taken."""
 
 
-def layers_around(
-    tree: BoxTree, labels: NDArray[np.int32], points: NDArray[np.float64], own: NDArray[np.int32]
-) -> NDArray[np.int64]:
+def layers_around(tree: BoxTree, labels: I32, points: F64, own: I32) -> I64:
     """Winding numbers of points (k, 3) on a mesh, each without the piece of the mesh that it lies on (-1 for none).
 
     The crossings of a ray along x are counted with their sign by exact predicates; so for closed pieces the result is
@@ -27,9 +26,7 @@ def layers_around(
     return _layers(tree.triangles, tree.boxes, tree.starts, places, np.ascontiguousarray(points, np.float64), own)
 
 
-def exits_along(
-    tree: BoxTree, origins: NDArray[np.float64], directions: NDArray[np.float64], own: NDArray[np.int64], both: bool
-) -> NDArray[np.float64]:
+def exits_along(tree: BoxTree, origins: F64, directions: F64, own: I64, both: bool) -> F64:
     """Distance along rays (k, 3), with directions of length 1, to the first triangle; infinity if none is hit.
 
     `own` is the triangle of the mesh that each ray starts on, which it does not hit. Unless `both`, triangles count
@@ -74,9 +71,7 @@ def wall_thickness(tree: BoxTree, samples: int = SAMPLES) -> WallThickness:
     return WallThickness(exits_along(tree, points, inwards, tree.order[place], False), points)
 
 
-def spread_points(
-    triangles: NDArray[np.float64], samples: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def spread_points(triangles: F64, samples: int) -> tuple[F64, F64, I64]:
     """Points spread evenly over the area of triangles (m, 3, 3), the same for the same triangles.
 
     The points and their unit normals into the solid, (samples, 3), and the triangle that each lies on; none without
@@ -100,14 +95,7 @@ def spread_points(
 
 
 @jit
-def _layers(
-    triangles: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    labels: NDArray[np.int32],
-    points: NDArray[np.float64],
-    own: NDArray[np.int32],
-) -> NDArray[np.int64]:
+def _layers(triangles: F64, boxes: F64, starts: I64, labels: I32, points: F64, own: I32) -> I64:
     leaves = starts.size - 1
     waiting = np.empty(DEPTH, np.int64)
     layers = np.zeros(points.shape[0], np.int64)
@@ -183,15 +171,7 @@ def _enters(box: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.floa
 
 
 @jit
-def _exits(
-    triangles: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    own: NDArray[np.int64],
-    both: bool,
-) -> NDArray[np.float64]:
+def _exits(triangles: F64, boxes: F64, starts: I64, origins: F64, directions: F64, own: I64, both: bool) -> F64:
     leaves = starts.size - 1
     waiting = np.empty(DEPTH, np.int64)
     far = np.full(origins.shape[0], np.inf)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree
 
@@ -40,9 +41,7 @@ def winding_numbers(tree: Dipoles, points: NDArray[np.float64]) -> NDArray[np.fl
 
 
 @jit
-def _poles(
-    triangles: NDArray[np.float64], boxes: NDArray[np.float64], starts: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _poles(triangles: F64, boxes: F64, starts: I64) -> F64:
     leaves = starts.size - 1
     poles = np.zeros((2 * leaves - 1, 7))
     areas = np.zeros(2 * leaves - 1)
@@ -96,14 +95,7 @@ def _solid_angle(t: NDArray[np.float64], x: float, y: float, z: float) -> float:
 
 @jit
 def winding_at(
-    triangles: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    poles: NDArray[np.float64],
-    waiting: NDArray[np.int64],
-    x: float,
-    y: float,
-    z: float,
-    far_radii: float,
+    triangles: F64, starts: I64, poles: F64, waiting: I64, x: float, y: float, z: float, far_radii: float
 ) -> float:
     """Winding number of one point; `waiting` has room for `DEPTH` nodes, and `far_radii` is `FAR_RADII` or less."""
     leaves = starts.size - 1
@@ -130,13 +122,7 @@ def winding_at(
 
 
 @jit
-def _numbers(
-    triangles: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    poles: NDArray[np.float64],
-    points: NDArray[np.float64],
-    far_radii: float,
-) -> NDArray[np.float64]:
+def _numbers(triangles: F64, starts: I64, poles: F64, points: F64, far_radii: float) -> F64:
     numbers = np.empty(points.shape[0])
     waiting = np.empty(DEPTH, np.int64)
     for i in range(points.shape[0]):

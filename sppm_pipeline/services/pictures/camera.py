@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F64
 
 
 class Camera(NamedTuple):
@@ -41,9 +42,7 @@ class Frame(NamedTuple):
     row: float
 
 
-def _view_coordinates(
-    points: NDArray[np.float64], axes: NDArray[np.float64], target: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], ...]:
+def _view_coordinates(points: F64, axes: F64, target: F64) -> tuple[F64, ...]:
     # Written out instead of a matrix product: BLAS may round differently with another number of threads.
     x, y, z = (points[:, axis] - target[axis] for axis in range(3))
     return tuple(axis[0] * x + axis[1] * y + axis[2] * z for axis in axes)

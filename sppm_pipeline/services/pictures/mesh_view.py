@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.pictures.camera import Camera, Frame, framed, projected
 from sppm_pipeline.services.pictures.shading import (
@@ -95,15 +96,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
 
 @jit
 def normal_on(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    normals: NDArray[np.float64],
-    f: int,
-    wb: float,
-    wc: float,
-    smooth: bool,
-    flat: NDArray[np.float64],
-    mean: NDArray[np.float64],
+    vertices: F64, faces: I64, normals: F64, f: int, wb: float, wc: float, smooth: bool, flat: F64, mean: F64
 ) -> None:
     """Normal `flat` of triangle f, and `mean`, interpolated at the weights of its second and third corner.
 
@@ -132,20 +125,20 @@ def normal_on(
 
 @jit
 def _resolve(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    normals: NDArray[np.float64],
+    vertices: F64,
+    faces: I64,
+    normals: F64,
     smooth: bool,
-    places: NDArray[np.float64],
-    axes: NDArray[np.float64],
+    places: F64,
+    axes: F64,
     distance: float,
     scale: float,
-    colors: NDArray[np.uint8],
-    nearness: NDArray[np.float32],
-    owner: NDArray[np.int32],
-    depth: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    color: NDArray[np.uint8],
+    colors: U8,
+    nearness: F32,
+    owner: I32,
+    depth: F32,
+    normal: F32,
+    color: U8,
 ) -> None:
     """Depth, normal and color of the triangle that owns each sample."""
     height, width = owner.shape
@@ -175,14 +168,7 @@ def _resolve(
             depth[r, col] = scale * (near if distance == 0.0 else distance - 1.0 / near)
 
 
-def _seen_mesh(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    frame: Frame,
-    size: tuple[int, int],
-    smooth: bool,
-    colors: NDArray[np.uint8],
-) -> Seen:
+def _seen_mesh(vertices: F64, faces: I64, frame: Frame, size: tuple[int, int], smooth: bool, colors: U8) -> Seen:
     width, height = size
     places = projected(frame, vertices)
     nearness = np.full((height, width), -np.inf, np.float32)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.pictures.mesh_view import normal_on
 
@@ -45,14 +46,7 @@ class RayScene(NamedTuple):
 
 
 @jit
-def list_overlaps(
-    places: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    width: int,
-    height: int,
-    starts: NDArray[np.int64],
-    owners: NDArray[np.int32],
-) -> None:
+def list_overlaps(places: F64, faces: I64, width: int, height: int, starts: I64, owners: I32) -> None:
     """List for each pixel the triangles that may cover some of it; with no room for owners, count them only.
 
     `starts` holds at p + 1 the number of triangles of pixel p, or where the list of pixel p has its next free place,
@@ -138,15 +132,7 @@ def _value(
 
 
 @jit
-def _march(
-    field: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    outer: NDArray[np.float32],
-    void: NDArray[np.uint8],
-    line: NDArray[np.float64],
-    begin: float,
-    end: float,
-) -> float:
+def _march(field: F32, skin: F32, outer: F32, void: U8, line: F64, begin: float, end: float) -> float:
     """The d at which the line `line[:3] + d * line[3:]` enters the solid, back from `begin` to `end`; -inf if nowhere.
 
     Blocks without any solid are crossed at once.
@@ -211,15 +197,7 @@ def _slope(values: NDArray[np.float32], x: float, y: float, z: float, out: NDArr
 
 @jit
 def _crossings(
-    places: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    owners: NDArray[np.int32],
-    first: int,
-    last: int,
-    x: float,
-    y: float,
-    depths: NDArray[np.float64],
-    found: NDArray[np.int64],
+    places: F64, faces: I64, owners: I32, first: int, last: int, x: float, y: float, depths: F64, found: I64
 ) -> int:
     """The listed triangles that a ray pierces, the nearest one first; those that face away are found as -1 - f."""
     n = 0
@@ -243,14 +221,7 @@ def _crossings(
 
 @jit
 def trace(
-    scene: RayScene,
-    pixels: NDArray[np.int64],
-    offsets: NDArray[np.float64],
-    depth: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    color: NDArray[np.uint8],
-    start: int,
-    stop: int,
+    scene: RayScene, pixels: I64, offsets: F64, depth: F32, normal: F32, color: U8, start: int, stop: int
 ) -> None:
     """Surfaces hit by rays through places of each pixel; depth, normal and color are (pixels, places) as in `Seen`."""
     field, skin, outer, void, vertices, faces, normals, places, starts, owners, axes, numbers, colors = scene

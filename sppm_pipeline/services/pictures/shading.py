@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import in_bands
 
@@ -78,14 +79,7 @@ def _rotations() -> NDArray[np.float32]:
 
 @jit
 def _occlusion(
-    depth: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    ball: NDArray[np.float32],
-    rotations: NDArray[np.float32],
-    radius: float,
-    hidden: NDArray[np.float32],
-    start: int,
-    stop: int,
+    depth: F32, normal: F32, ball: F32, rotations: F32, radius: float, hidden: F32, start: int, stop: int
 ) -> None:
     """Fraction of the points of a half ball above each sample that lie behind something seen, in some rows."""
     height, width = depth.shape
@@ -125,14 +119,7 @@ def _occlusion(
 
 
 @jit
-def _smoothed(
-    depth: NDArray[np.float32],
-    hidden: NDArray[np.float32],
-    radius: float,
-    mean: NDArray[np.float32],
-    start: int,
-    stop: int,
-) -> None:
+def _smoothed(depth: F32, hidden: F32, radius: float, mean: F32, start: int, stop: int) -> None:
     """Mean over 4 x 4 samples of like depth, in some rows."""
     height, width = depth.shape
     near = np.float32(0.35 * radius)
@@ -155,11 +142,11 @@ def light_of(
     nx: np.float32,
     ny: np.float32,
     nz: np.float32,
-    color: NDArray[np.uint8],
+    color: U8,
     creases: np.float32,
     pores: np.float32,
     strength: np.float32,
-    linear: NDArray[np.float32],
+    linear: F32,
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Light (red, green, blue) from a point: its normal, its color, and how much of creases and pores hides it."""
     # Unit vectors towards a warm key light at the upper left, a cool fill light at the right, and half way to the key.
@@ -192,15 +179,15 @@ def light_of(
 
 @jit
 def _lit(
-    normal: NDArray[np.float32],
-    depth: NDArray[np.float32],
-    color: NDArray[np.uint8],
-    creases: NDArray[np.float32],
-    pores: NDArray[np.float32],
+    normal: F32,
+    depth: F32,
+    color: U8,
+    creases: F32,
+    pores: F32,
     strength: np.float32,
-    linear: NDArray[np.float32],
+    linear: F32,
     fine: int,
-    light: NDArray[np.float32],
+    light: F32,
 ) -> None:
     """Light of `fine` x `fine` samples for each pixel, as `Lit` has it."""
     share = np.float32(1.0 / (fine * fine))
@@ -227,16 +214,16 @@ def _lit(
 
 @jit
 def add_light(
-    pixels: NDArray[np.int64],
-    depths: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    colors: NDArray[np.uint8],
-    depth: NDArray[np.float32],
-    creases: NDArray[np.float32],
-    pores: NDArray[np.float32],
+    pixels: I64,
+    depths: F32,
+    normals: F32,
+    colors: U8,
+    depth: F32,
+    creases: F32,
+    pores: F32,
     strength: np.float32,
-    linear: NDArray[np.float32],
-    light: NDArray[np.float32],
+    linear: F32,
+    light: F32,
     start: int,
     stop: int,
 ) -> None:

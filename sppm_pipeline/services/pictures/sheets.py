@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import U8
 from sppm_pipeline.services.pictures.shading import Color
 
 if TYPE_CHECKING:
@@ -233,9 +234,7 @@ def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, 
     return np.concatenate([picture, np.asarray(panel)], axis=1)
 
 
-def annotated(
-    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, bar: bool = True, dark: bool = False
-) -> NDArray[np.uint8]:
+def annotated(picture: U8, frame: Frame, unit_mm: float | None, *, bar: bool = True, dark: bool = False) -> U8:
     """A picture with the directions of the axes at its lower left, and a scale bar at its lower right.
 
     The bar is as long as the frame says at the middle of the part; `unit_mm` is the frame's unit of length, None for

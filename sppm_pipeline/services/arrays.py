@@ -1,4 +1,4 @@
-"""The distinct values of an array, without the import of masked arrays."""
+"""Short names of array types for signatures, by kind and bits; distinct values without the import of masked arrays."""
 
 from __future__ import annotations
 
@@ -6,6 +6,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+I32 = NDArray[np.int32]
+U64 = NDArray[np.uint64]
+U8 = NDArray[np.uint8]
+Bools = NDArray[np.bool_]
 
 
 def distinct(values: NDArray[Any], axis: int | None = None) -> NDArray[Any]:
