@@ -83,7 +83,7 @@ def search(
     trials: dict[Point, Point | None] = {}
 
     def try_out(at: Point) -> bool:
-        """Test whether there was an evaluation left for a new point."""
+        """Evaluate a new point; False if it is known already, or no evaluation is left."""
         if at in trials or len(trials) >= evaluations:
             return False
         numbers = evaluate(at)

@@ -281,7 +281,7 @@ class PieceTaker(Protocol):
     """Consumer of the pieces of a mesh while the next ones are made, such as the writer of a file."""
 
     def begin(self, expected: ExpectedSize) -> bool:
-        """Return whether such a mesh can be taken in pieces; called before anything else, once for each try."""
+        """True if such a mesh can be taken in pieces; called before anything else, once for each try."""
 
     def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
         """Take the triangles (m, 3) of the next piece, all with corners among these points.
@@ -291,7 +291,7 @@ class PieceTaker(Protocol):
         """
 
     def finish(self) -> bool:
-        """Return whether the mesh is complete and of the expected size; if not, nothing of it is used."""
+        """True if the mesh is complete and of the expected size; if not, nothing of it is used."""
 
     def drop(self) -> None:
         """Discard all pieces."""

@@ -118,7 +118,7 @@ class TunnelGraph(Artifact):
         return [np.where(backward, b, a), np.where(backward, a, b), *(s * sign[:, None]).T]
 
     def _ascending(self) -> bool:
-        """Test whether all tunnels lead from lower to higher pores and are sorted by pores and shift, none twice."""
+        """True if all tunnels lead from lower to higher pores and are sorted by pores and shift, none twice."""
         if (self.edges[:, 0] >= self.edges[:, 1]).any():
             return False
         equal, less = np.ones(max(len(self.edges) - 1, 0), bool), np.zeros(max(len(self.edges) - 1, 0), bool)

@@ -39,14 +39,14 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 
 
 def is_binary(data: bytes | memoryview | bytearray) -> bool:
-    """Return whether the size is that of the number of triangles in the header (a few stray bytes more are allowed)."""
+    """True if the size is that of the number of triangles in the header; a few stray bytes more are allowed."""
     if len(data) < _HEADER:
         return False
     return 0 <= len(data) - _HEADER - _RECORD * int.from_bytes(data[80:84], "little") < _RECORD
 
 
 def is_ascii(data: bytes | memoryview | bytearray) -> bool:
-    """Return whether it is like ASCII STL: ``solid``, and ``facet`` or ``endsolid`` soon after, or no byte but text."""
+    """True for what is like ASCII STL: ``solid``, and ``facet`` or ``endsolid`` soon after, or no byte but text."""
     head = bytes(data[:4096]).lstrip().lower()
     if not head.startswith(b"solid"):
         return False

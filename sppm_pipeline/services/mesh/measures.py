@@ -54,12 +54,12 @@ class EdgeCounts(NamedTuple):
 
     @property
     def consistent(self) -> bool:
-        """Return whether neighbors turn the same way wherever two triangles meet (boundaries are allowed)."""
+        """True if neighbors turn the same way wherever two triangles meet (boundaries are allowed)."""
         return self.non_manifold == 0 and self.unbalanced == self.boundary
 
     @property
     def bounds_solid(self) -> bool:
-        """Return whether the mesh bounds a volume: the edges are balanced, though several sheets may meet in one."""
+        """True if the mesh bounds a volume: the edges are balanced, though several sheets may meet in one."""
         return self.edges > 0 and self.unbalanced == 0
 
 
@@ -89,7 +89,7 @@ def edge_counts(faces: NDArray[np.integer]) -> EdgeCounts:
 
 
 def balanced_edges(faces: NDArray[np.integer]) -> bool:
-    """Return whether every edge runs as often in one direction as in the other, as `EdgeCounts.bounds_solid` says.
+    """True if every edge runs as often in one direction as in the other, as `EdgeCounts.bounds_solid` says.
 
     Found in one pass and without memory: each edge is hashed to 64 bits, counted positive in one direction and negative
     in the other, and the sum must vanish. A mesh that is not balanced passes with a probability of 2^-64.

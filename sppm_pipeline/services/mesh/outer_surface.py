@@ -249,7 +249,7 @@ def _segments_in(t: F64, u: F64, frame: F64, tolerance: float, others: F64, segm
 
 @jit
 def _overlap(p: NDArray[np.float64], q: NDArray[np.float64], tolerance: float) -> bool:
-    """Return whether no edge of triangle p in the plane has all of triangle q on its outer side."""
+    """False if an edge of triangle p, in the plane, has all of triangle q on its outer side."""
     turn = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
     sign = 1.0 if turn > 0.0 else -1.0
     for e in range(3):
@@ -286,7 +286,7 @@ def _length_within(corners: NDArray[np.float64], segment: NDArray[np.float64], m
 def _divides(
     piece: NDArray[np.float64], segment: NDArray[np.float64], tolerance: float, sides: NDArray[np.float64]
 ) -> bool:
-    """Return whether a segment crosses the inside of a triangle; `sides` gets how far its corners are off the line."""
+    """True if a segment crosses the inside of a triangle; `sides` gets how far its corners are off the line."""
     vx, vy = segment[2] - segment[0], segment[3] - segment[1]
     length = np.sqrt(vx * vx + vy * vy)
     if not length > tolerance:

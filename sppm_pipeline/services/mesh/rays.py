@@ -157,7 +157,7 @@ def _hit(t: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64],
 
 @jit
 def _enters(box: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64], best: float) -> bool:
-    """Return whether a ray meets a box nearer than the best hit."""
+    """True if a ray meets a box nearer than the best hit."""
     near, far = 0.0, best
     for a in range(3):
         if d[a] == 0.0:
