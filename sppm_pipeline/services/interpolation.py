@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F32, I32, I64, U8, U64
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8, U64
 from sppm_pipeline.services.jit.compiled import fused_jit, jit
 
 #: Coarse samples that enter along an axis, and how many of them lie before the sample or on it.
@@ -40,7 +40,7 @@ class Taps(NamedTuple):
     weights: NDArray[np.float32]  # (m, 6); they add up to one
 
 
-def taps_at(positions: NDArray[np.float64]) -> Taps:
+def taps_at(positions: F64) -> Taps:
     """Taps of samples at `positions` (m,), counted in coarse spacings from coarse sample 0."""
     positions = np.rint(positions / _GRAIN) * _GRAIN
     whole = np.floor(positions)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
@@ -11,12 +10,12 @@ from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree, box_tree
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
 
 
-def surface_distances(tree: BoxTree, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def surface_distances(tree: BoxTree, points: F64) -> F64:
     """Exact distance of points (n, 3) from the nearest triangle of a surface, (n,), without a sign."""
     return _distances(tree.triangles, tree.boxes, tree.starts, np.ascontiguousarray(points, np.float64))
 
 
-def element_tree(corners: NDArray[np.float64]) -> BoxTree:
+def element_tree(corners: F64) -> BoxTree:
     """The tree of the boxes of tetrahedra (m, 4, 3); its triangles are the low and high corners of these boxes."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     return box_tree(np.stack([low, high, high], axis=1))
@@ -76,13 +75,13 @@ def _least_outside(corners: F64, first: I64, around: I64, node: I64, points: F64
 
 
 @jit
-def _squared(t: NDArray[np.float64], p: NDArray[np.float64], corner: int) -> float:
+def _squared(t: F64, p: F64, corner: int) -> float:
     x, y, z = t[corner, 0] - p[0], t[corner, 1] - p[1], t[corner, 2] - p[2]
     return float(x * x + y * y + z * z)
 
 
 @jit
-def _squared_to_box(box: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+def _squared_to_box(box: F64, point: F64) -> float:
     squared = 0.0
     for a in range(3):
         away = max(box[a] - point[a], point[a] - box[a + 3], 0.0)
@@ -156,7 +155,7 @@ def _locate(order: I64, boxes: F64, starts: I64, corners: F64, points: F64) -> t
 
 
 @jit
-def _barycentric(t: NDArray[np.float64], p: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+def _barycentric(t: F64, p: F64, out: F64) -> None:
     """Weights of the corners of tetrahedron (4, 3) at a point (Cramer); minus infinity for a flat one."""
     ax, ay, az = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     bx, by, bz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]

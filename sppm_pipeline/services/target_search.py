@@ -162,9 +162,7 @@ def _one(
             yield (guess,) if right - left > MIN_BRACKET * (high - low) else "jump"
 
 
-def _refined(
-    x: NDArray[np.float64], y: NDArray[np.float64], target: float, finest: float, whole: bool, tried: set[float]
-) -> Point | None:
+def _refined(x: F64, y: F64, target: float, finest: float, whole: bool, tried: set[float]) -> Point | None:
     """The middle of the wider gap beside the trial nearest to the target, which may hide an extreme beyond it."""
     best = int(np.argmin(np.abs(y - target)))
     if best in (0, len(x) - 1):
@@ -175,9 +173,7 @@ def _refined(
     return None if max(left, right) <= finest or middle in tried else (middle,)
 
 
-def parameter_for(
-    parameters: NDArray[np.float64], numbers: NDArray[np.float64], target: float
-) -> tuple[float, tuple[float, float]]:
+def parameter_for(parameters: F64, numbers: F64, target: float) -> tuple[float, tuple[float, float]]:
     """The parameter at which the number is expected to be `target`, and the neighboring ones that enclose it.
 
     A monotone cubic through the samples (Fritsch and Carlson 1980) is followed between two that enclose the target, so
@@ -230,7 +226,7 @@ def _two(
     known = [numbers for numbers in trials.values() if numbers is not None]
     straight = [any(numbers[i] * targets[i] <= 0 for numbers in known) for i in range(2)]
 
-    def residual(numbers: Point) -> NDArray[np.float64]:
+    def residual(numbers: Point) -> F64:
         """Relative errors with a sign, of logarithms where they have one."""
         parts = []
         for number, target, scale, plain in zip(numbers, targets, scales, straight, strict=True):
@@ -240,7 +236,7 @@ def _two(
                 parts.append(math.log(max(number / target, 1e-9)))
         return np.array(parts)
 
-    def scaled(at: Point) -> NDArray[np.float64]:
+    def scaled(at: Point) -> F64:
         found: NDArray[np.float64] = (np.array(at, np.float64) - low) / size
         return found
 

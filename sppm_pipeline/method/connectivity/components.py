@@ -42,7 +42,7 @@ class Components(NamedTuple):
 
 
 def find_components(
-    mask: NDArray[np.bool_] | NDArray[np.uint8],
+    mask: Bools | U8,
     periodic: tuple[bool, bool, bool] = (False, False, False),
     connectivity: int = 6,
     zeros: bool = False,
@@ -138,7 +138,7 @@ def _box_components(rows: I64, bounds: I32, nz: int, ny: int, nx: int, reach: in
 
 
 @jit
-def _lift(parent: NDArray[np.int32], offset: NDArray[np.int32], c: int) -> tuple[int, int, int, int]:
+def _lift(parent: I32, offset: I32, c: int) -> tuple[int, int, int, int]:
     """Root of c, and the shift (in cells along x, y, z) of c against its root."""
     x, y, z = 0, 0, 0
     while parent[c] != c:
@@ -262,7 +262,7 @@ class PhaseReport(NamedTuple):
 
 
 def phase_report(
-    mask: NDArray[np.bool_] | NDArray[np.uint8],
+    mask: Bools | U8,
     periodic: tuple[bool, bool, bool] = (True, True, True),
     connectivity: int = 6,
     *,

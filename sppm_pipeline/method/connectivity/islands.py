@@ -33,7 +33,7 @@ def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, Tr
     return kept
 
 
-def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int = 6) -> LooseParts:
+def loose_parts(mask: Bools | U8, connectivity: int = 6) -> LooseParts:
     """Components besides the largest, with labels that do not wrap: what the paper's rejection looks at.
 
     A cell is rejected if a loose part lies at its surface (`at_boundary` > 0): inside the cell it can be removed

@@ -6,9 +6,8 @@ See `streaming` for what ids are; the functions here hold no state.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import I32, I64
+from sppm_pipeline.services.arrays import I32, I64, U64, Bools
 from sppm_pipeline.services.bit_rows import clear_span, fill_span
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.union_find import find_root
@@ -185,7 +184,7 @@ def list_loose(rows: I64, bounds: I32, ids: I32, main: int, loose: I32) -> None:
 
 
 @jit
-def still_loose(ids: NDArray[np.int32], parent: NDArray[np.int32], main: int) -> NDArray[np.bool_]:
+def still_loose(ids: I32, parent: I32, main: int) -> Bools:
     still = np.empty(ids.size, np.bool_)
     for i in range(ids.size):
         still[i] = find_root(parent, ids[i]) != main
@@ -193,9 +192,7 @@ def still_loose(ids: NDArray[np.int32], parent: NDArray[np.int32], main: int) ->
 
 
 @jit
-def clear_runs(
-    rows: NDArray[np.int64], bounds: NDArray[np.int32], keep: NDArray[np.bool_], layer: NDArray[np.uint64]
-) -> None:
+def clear_runs(rows: I64, bounds: I32, keep: Bools, layer: U64) -> None:
     """Take the runs that are not kept out of a layer (ny, words)."""
     for y in range(layer.shape[0]):
         for r in range(rows[y], rows[y + 1]):
@@ -204,7 +201,7 @@ def clear_runs(
 
 
 @jit
-def set_runs(runs: NDArray[np.int32], value: bool, layer: NDArray[np.uint64]) -> None:
+def set_runs(runs: I32, value: bool, layer: U64) -> None:
     """Set or clear runs (row, first voxel, the one after the last, id) of a layer (ny, words)."""
     for i in range(runs.shape[0]):
         if value:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.method.connectivity.runs import neighbor_reach
 from sppm_pipeline.method.connectivity.streaming import resolve
 from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
-from sppm_pipeline.services.arrays import I32, I64
+from sppm_pipeline.services.arrays import I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import unite
 
@@ -66,7 +66,7 @@ class SlabUnion:
         # the last layer alone is needed for the border to the next slab
         self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
 
-    def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
+    def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[Bools]]:
         """Decide what stays, as `IslandFilter.finish`; and the verdict on the ids of each slab."""
         parent = self._parent[: self._starts[-1]].copy()
         voxels = np.concatenate([np.zeros(0, np.int64), *self._voxels])

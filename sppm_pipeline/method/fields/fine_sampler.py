@@ -134,9 +134,7 @@ class FineSampler:
         changes = (np.diff(low // self._height) != 0) | (np.diff((low + TAPS - 1) // self._height) != 0)
         return list(pairwise([start, *(int(c) + 1 + start for c in np.flatnonzero(changes)), stop]))
 
-    def _chunks_of(
-        self, field: KernelSum, first: int, last: int, wanted: NDArray[np.int32], threads: int
-    ) -> list[_Chunk]:
+    def _chunks_of(self, field: KernelSum, first: int, last: int, wanted: I32, threads: int) -> list[_Chunk]:
         """The one or two chunks for layers first <= k < last, with all samples that the wanted ones depend on."""
         low, high = (int(self._taps[2].first[layer]) for layer in (first, last - 1))
         high += TAPS - 1
@@ -160,16 +158,16 @@ class FineSampler:
                 chunk.sum_columns(field, self._n, columns - chunk.done, self._spans, threads)
         return chunks
 
-    def _new_room(self, columns: int) -> NDArray[np.float32]:
+    def _new_room(self, columns: int) -> F32:
         return np.empty((self._height, len(self._window[1]), columns), np.float32)
 
-    def _scratch(self) -> NDArray[np.float32]:
+    def _scratch(self) -> F32:
         """Room for the sums of a chunk, for one after the other."""
         if not self._sums.size:
             self._sums = self._new_room(len(self._window[0]))
         return self._sums
 
-    def _coarse_rows(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+    def _coarse_rows(self, wanted: I32) -> I32:
         """Span of each coarse row, in fine samples, needed for the wanted part of each fine row; both (rows, 2)."""
         first = self._taps[1].first - self._taps[1].first[0]
         rows = np.empty((len(self._window[1]), 2), np.int32)
@@ -179,7 +177,7 @@ class FineSampler:
             np.maximum.at(rows[:, 1], first + tap, wanted[:, 1])
         return rows
 
-    def _columns(self, wanted: NDArray[np.int32]) -> set[tuple[int, int]]:
+    def _columns(self, wanted: I32) -> set[tuple[int, int]]:
         """Numbers of the spans along x and y whose samples the wanted ones depend on."""
         first_x, first_y = (taps.first - taps.first[0] for taps in self._taps[:2])
         start, stop = spans_in_any(wanted).T
@@ -211,16 +209,14 @@ def _widened(low: I32, high: I32, blocks: int) -> tuple[I32, I32]:
 class _Chunk:
     """Consecutive coarse planes, stretched along x; the kernels are summed where they are needed."""
 
-    def __init__(self, planes: range, x: range, y: range, band: Band, room: NDArray[np.float32]) -> None:
+    def __init__(self, planes: range, x: range, y: range, band: Band, room: F32) -> None:
         self.planes, self.x, self.y, self.band, self.room = planes, x, y, band, room
         self.stretched = room[: len(planes)]
         self.done: set[tuple[int, int]] = set()
         self._blocks = np.zeros((len(y), 2), np.int32)
         self._sums = np.zeros((0, 0, 0), np.float32)
 
-    def add_patches(
-        self, patches: Patches, needed: NDArray[np.int32], scratch: Callable[[], NDArray[np.float32]], threads: int
-    ) -> None:
+    def add_patches(self, patches: Patches, needed: I32, scratch: Callable[[], F32], threads: int) -> None:
         """Add up patches for the needed parts of rows, (cy, 2) fine samples, unless that is done."""
         from sppm_pipeline.method.assembly.overlap_add import assemble
 
@@ -272,9 +268,7 @@ class _Chunk:
                 self._stretch(self._sums, range(rows.start, rows.stop), threads)
         self.done |= columns  # not before: an interrupt may come, and the field be asked again
 
-    def _stretch(
-        self, sums: NDArray[np.float32], rows: range, threads: int, blocks: NDArray[np.int32] | None = None
-    ) -> None:
+    def _stretch(self, sums: F32, rows: range, threads: int, blocks: I32 | None = None) -> None:
         def work(some: slice) -> None:
             stretch(sums[some], self.band, rows, self.stretched[some], blocks)
 

@@ -75,7 +75,7 @@ class FormulaField(PlacedField):
     """Base of fields that are a function of the position alone: implement `evaluate`."""
 
     @abstractmethod
-    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+    def evaluate(self, x: F64, y: F64, z: F64) -> NDArray[np.floating]:
         """Values, negative in the solid, at the points of three axes: x (nx, 1, 1), y (ny, 1), z (nz,).
 
         Positions are in cell sizes: 0 <= x, y, z < 1 in a periodic cell, else from the low corner of the part. The
@@ -83,7 +83,7 @@ class FormulaField(PlacedField):
         others are asked for.
         """
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         x, y, z = (_rounded(grid.axis(axis), self.periodic) for axis in range(3))
         values = np.empty((stop - start, len(y), len(x)), np.float32)
         rows = max(1, BLOCK // max(1, len(x)))  # of one layer, or of several whole ones
@@ -153,7 +153,7 @@ class CellwiseField(PlacedField):
     def evaluate(self, prepared: Any, x: F64, y: F64, z: F64) -> F32:
         """Values at the points of three axes (nx,), (ny,), (nz,), 0 <= x, y, z < 1 within the cell: (nx, ny, nz)."""
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         return self._sampled(grid, start, stop, threads, None)
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
@@ -186,7 +186,7 @@ class CellwiseField(PlacedField):
         return values
 
 
-def _rounded(positions: NDArray[np.float64], periodic: bool) -> NDArray[np.float64]:
+def _rounded(positions: F64, periodic: bool) -> F64:
     """Positions to 2^-40 of a cell, of a periodic cell between 0 and 1.
 
     A position that should be the same in the next cell is off by some rounding, and must give the same value.
@@ -199,13 +199,13 @@ def _rounded(positions: NDArray[np.float64], periodic: bool) -> NDArray[np.float
     return inside
 
 
-def _any_wanted(rows: NDArray[np.int32], span: Span) -> bool:
+def _any_wanted(rows: I32, span: Span) -> bool:
     """True if a row's samples that matter, from the first to before the last, meet those of a span."""
     first, last = np.maximum(rows[..., 0], span[1]), np.minimum(rows[..., 1], span[2])
     return bool((first < last).any())
 
 
-def _spans(positions: NDArray[np.float64]) -> list[Span]:
+def _spans(positions: F64) -> list[Span]:
     """Runs of rising positions in one cell."""
     cells = np.floor(positions).astype(np.int64)
     ends = [0, *(np.flatnonzero(np.diff(cells)) + 1).tolist(), len(cells)]

@@ -42,7 +42,7 @@ class _Placed(NamedTuple):
     y: tuple[int, int]
     z: tuple[int, int]
 
-    def sums(self, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None = None) -> NDArray[np.float32]:
+    def sums(self, start: int, stop: int, threads: int, wanted: I32 | None = None) -> F32:
         """G in the layers start <= k < stop of the grid; `wanted` as for `solid_layers`."""
         from sppm_pipeline.method.assembly.overlap_add import assemble
 
@@ -92,7 +92,7 @@ class KernelSum(ScalarField):
     def sum_level(self) -> float | None:
         return self.solid_below if self.additive else None
 
-    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         """A continuous field with the sign of G - C in the layers start <= k < stop of any grid."""
         values = self.kernel_sums(grid, start, stop, threads)
         values -= np.float32(self.solid_below)
@@ -124,19 +124,19 @@ class KernelSum(ScalarField):
         """True if patches are used so often that sampling them finely costs less than to interpolate everywhere."""
         return False
 
-    def sums(self, grid: Grid, threads: int = 1, wanted: NDArray[np.int32] | None = None) -> NDArray[np.float32]:
+    def sums(self, grid: Grid, threads: int = 1, wanted: I32 | None = None) -> F32:
         """G at the points of a grid, (nx, ny, nz) float32; `sample` is this less the level, but may be interpolated.
 
         `wanted` as for `solid_layers`.
         """
 
-        def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+        def sums(grid: Grid, start: int, stop: int) -> F32:
             return self._summed(grid, start, stop, threads, None if self.periodic else wanted)
 
         return self._each_once(grid, 0, grid.shape[2], sums).T
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        def values(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
+        def values(grid: Grid, start: int, stop: int) -> F32:
             if not self.additive:
                 return self.own_values(grid, start, stop, threads)
             if (fine := self._fine(grid, threads)) is not None:
@@ -150,7 +150,7 @@ class KernelSum(ScalarField):
         return self._each_once(grid, start, stop, values).T
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
-        def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        def solid(grid: Grid, start: int, stop: int) -> U8:
             if not self.additive:
                 return (self.own_values(grid, start, stop, threads) < 0).view(np.uint8)
             rows = None if self.periodic else wanted
@@ -212,10 +212,7 @@ class KernelSum(ScalarField):
         return sampler
 
     def sign_sampler(
-        self,
-        grid: Grid,
-        levels: Levels | None = None,
-        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
     ) -> SignSampler | None:
         """Search for the samples below the level that does without their values, if that pays on a grid.
 

@@ -96,10 +96,7 @@ class LevelField(WrappedField, KernelSum):
         return self._over_level(self.base._summed(grid, start, stop, threads, wanted), grid, start, threads, wanted)
 
     def sign_sampler(
-        self,
-        grid: Grid,
-        levels: Levels | None = None,
-        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
     ) -> SignSampler | None:
         from sppm_pipeline.method.kernels.signs import Levels
 
@@ -124,7 +121,7 @@ class LevelField(WrappedField, KernelSum):
         in_bands(divide, len(sums), threads)
         return sums
 
-    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         # a copy: what a field hands out may be its own
         values, spline = self.base.sample_zyx(grid, start, stop, threads).copy(), self._spline(grid, start, stop)
 
@@ -147,7 +144,7 @@ class LevelField(WrappedField, KernelSum):
         return {**self.base.summary(), "level_min": least, "level_max": most}
 
 
-def _window(wanted: NDArray[np.int32] | None, shape: tuple[int, ...]) -> tuple[slice, slice]:
+def _window(wanted: I32 | None, shape: tuple[int, ...]) -> tuple[slice, slice]:
     """The rows and columns of a layer in which all lies that is wanted."""
     if wanted is None:
         return slice(0, shape[0]), slice(0, shape[1])

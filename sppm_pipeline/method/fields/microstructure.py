@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
@@ -20,7 +19,7 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.nouns.length import Cell
-from sppm_pipeline.services.arrays import F32, I32
+from sppm_pipeline.services.arrays import F32, F64, I32, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.metric import check_metric
 
@@ -219,18 +218,13 @@ class Microstructure(KernelSum):
         return self.alone(0, (0, 0, 0)).kernel_sums(grid, start, stop, threads, wanted)
 
     def sign_sampler(
-        self,
-        grid: Grid,
-        levels: Levels | None = None,
-        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
     ) -> SignSampler | None:
         if self.interiors > 1 or max(self.colors) > 1:
             return None
         return self.alone(0, (0, 0, 0)).sign_sampler(grid, levels, spline)
 
-    def laid_values(
-        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
-    ) -> NDArray[np.float32]:
+    def laid_values(self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         """Samples of a layout whose field is not `additive`: a continuous field with the sign of G - C."""
         values = self.laid_sums(arrays, grid, start, stop, threads)
         values -= np.float32(self.level)
@@ -272,10 +266,7 @@ class PeriodicTile(WrappedField, KernelSum):
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
 
     def sign_sampler(
-        self,
-        grid: Grid,
-        levels: Levels | None = None,
-        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
     ) -> SignSampler | None:
         return self.base.laid_signs(self.arrays(), grid, levels, spline)
 
@@ -283,7 +274,7 @@ class PeriodicTile(WrappedField, KernelSum):
     def additive(self) -> bool:
         return self.base.additive
 
-    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         return self.base.laid_values(self.arrays(), grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
@@ -295,7 +286,7 @@ class PeriodicTile(WrappedField, KernelSum):
         return lone_periodic_cell(self.interior, self.base.face_ids(self.colors))
 
 
-def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], profile: str) -> Pieces:
+def pieces_from_graph(graph: TunnelGraph, omega: F64, mu: F64, profile: str) -> Pieces:
     """Sort the kernels of all pores and tunnels by the piece they belong to.
 
     `omega` (n,) is that of each pore, 1 / cell edge^2, `mu` (m,) that of each tunnel, 1 / cell edge^power of the
@@ -328,14 +319,14 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     own, first_pore = _sorted_by(number[pores.piece], count)
     starts, ends = (frozen(points) for points in graph.sorted_segments(tunnels))
 
-    def taken(array: NDArray[np.float64], order: NDArray[np.int64] | None) -> NDArray[np.float64]:
+    def taken(array: F64, order: I64 | None) -> F64:
         return frozen(array if order is None else array[order])
 
     kernels = Kernels(taken(pores.centers, own), taken(omega, own), starts, ends, taken(mu, tunnels), profile)
     return Pieces(kernels, frozen(first_pore), frozen(first_tunnel), pores.interiors, most, frozen(codes))
 
 
-def _sorted_by(piece: NDArray[np.int32], pieces: int) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+def _sorted_by(piece: I32, pieces: int) -> tuple[I64 | None, I64]:
     """The order that sorts by piece, None if all is sorted, and where each piece begins."""
     first = np.concatenate([[0], np.cumsum(np.bincount(piece, minlength=pieces))])
     return None if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first

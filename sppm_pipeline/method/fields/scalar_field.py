@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.nouns.artifact import Artifact
-from sppm_pipeline.services.arrays import I32, U8, U64
+from sppm_pipeline.services.arrays import F32, I32, U8, U64
 from sppm_pipeline.services.grid import Grid, cell_centers
 
 RESOLVED = 1.2
@@ -78,7 +77,7 @@ class ScalarField(Artifact, ABC):
         return (0.0, 0.0, 0.0)
 
     @abstractmethod
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         """Values in the layers start <= k < stop of a grid (cell sizes), (nx, ny, stop - start) float32.
 
         A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for. Any
@@ -86,7 +85,7 @@ class ScalarField(Artifact, ABC):
         so it may be an array that the field keeps.
         """
 
-    def sample(self, grid: Grid | int, threads: int = 1) -> NDArray[np.float32]:
+    def sample(self, grid: Grid | int, threads: int = 1) -> F32:
         """Values at the points of a grid (cell sizes), (nx, ny, nz) float32, x contiguous in memory.
 
         Parameters
@@ -98,7 +97,7 @@ class ScalarField(Artifact, ABC):
         grid = self._grid(grid)
         return self.sample_zyx(grid, 0, grid.shape[2], threads).T
 
-    def solid(self, grid: Grid | int, threads: int = 1) -> NDArray[np.uint8]:
+    def solid(self, grid: Grid | int, threads: int = 1) -> U8:
         """1 where the field is negative, else 0, (nx, ny, nz) uint8; faster than `sample` where a class can."""
         grid = self._grid(grid)
         return self.solid_zyx(grid, 0, grid.shape[2], threads).T
@@ -114,7 +113,7 @@ class ScalarField(Artifact, ABC):
         """
         return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
 
-    def sample_zyx(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_zyx(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         """`sample_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.sample_layers(grid, start, stop, threads).T)
 
@@ -283,7 +282,7 @@ class CutField(WrappedField):
     def cut_at(self, value: float) -> CutField:
         return replace(self, value=self.value + value)
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         # a new array: what a field hands out may be its own
         return self.base.sample_layers(grid, start, stop, threads) - np.float32(self.value)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import TilingArrays, check_tiling
 from sppm_pipeline.method.fields.kernel_sum import KernelSum, Patches
@@ -71,7 +70,7 @@ class Tiling(KernelSum):
             for side in range(2):
                 self._check_colors(int(axis), side, own[axis] if own is not None else None)
 
-    def _check_colors(self, axis: int, side: int, own: NDArray[np.int32] | None) -> None:
+    def _check_colors(self, axis: int, side: int, own: I32 | None) -> None:
         """Each cell has a face, and of the color its interior stands for, `own`; others have no connectors to it."""
         interior, planes = self.arrays.interior, self.arrays.faces[axis]
         size = interior.shape[axis]
@@ -127,10 +126,7 @@ class Tiling(KernelSum):
         return self.tileset.micro.laid_sums(self.arrays, grid, start, stop, threads, wanted)
 
     def sign_sampler(
-        self,
-        grid: Grid,
-        levels: Levels | None = None,
-        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
     ) -> SignSampler | None:
         return self.tileset.micro.laid_signs(self.arrays, grid, levels, spline)
 
@@ -138,7 +134,7 @@ class Tiling(KernelSum):
     def additive(self) -> bool:
         return self.tileset.micro.additive
 
-    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         return self.tileset.micro.laid_values(self.arrays, grid, start, stop, threads)
 
     @property

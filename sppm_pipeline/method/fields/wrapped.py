@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.services.arrays import I32, U8
+from sppm_pipeline.services.arrays import F32, I32, U8
 from sppm_pipeline.services.grid import Grid
 
 
@@ -28,7 +28,7 @@ class CleanedField(WrappedField):
     def __post_init__(self) -> None:
         object.__setattr__(self, "floating", frozen(np.asarray(self.floating, np.uint8)))
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         values = self.base.sample_zyx(grid, start, stop, threads)
         nz, ny, nx = self.floating.shape
         place = []
@@ -63,7 +63,7 @@ class RepeatedField(WrappedField):
     def origin_mm(self) -> tuple[float, float, float]:
         return self.origin
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         return self.base.sample_layers(grid, start, stop, threads)
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:

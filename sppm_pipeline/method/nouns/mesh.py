@@ -21,7 +21,7 @@ from sppm_pipeline.nouns.artifact import (
     optional_module,
     whole_numbers,
 )
-from sppm_pipeline.services.arrays import F64, I32
+from sppm_pipeline.services.arrays import F64, I32, U8
 from sppm_pipeline.services.paging import blocks
 
 if TYPE_CHECKING:
@@ -83,13 +83,7 @@ class SurfaceMesh(Viewable):
         return made
 
     @classmethod
-    def handed_on(
-        cls,
-        vertices: int,
-        faces: int,
-        name: str,
-        box_and_volume: tuple[NDArray[np.float64], NDArray[np.float64], float],
-    ) -> SurfaceMesh:
+    def handed_on(cls, vertices: int, faces: int, name: str, box_and_volume: tuple[F64, F64, float]) -> SurfaceMesh:
         """A mesh that was given away in pieces (`Context.begin_readers`): its numbers, and no arrays at all."""
         mesh = object.__new__(cls)
         mesh.__dict__.update(name=name, groups=(), _counts=(vertices, faces), _measured=box_and_volume)
@@ -165,19 +159,19 @@ class SurfaceMesh(Viewable):
         return outer_surface(self.vertices, self.faces)
 
     @cached_property
-    def _measured(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    def _measured(self) -> tuple[F64, F64, float]:
         """Low and high corner, and volume."""
         from sppm_pipeline.services.mesh.measures import box_and_volume
 
         return box_and_volume(self.vertices, self.faces)
 
     @property
-    def lower(self) -> NDArray[np.float64]:
+    def lower(self) -> F64:
         """Low corner of the bounding box of the triangles, (3,) mm."""
         return self._measured[0]
 
     @property
-    def upper(self) -> NDArray[np.float64]:
+    def upper(self) -> F64:
         """High corner of the bounding box of the triangles, (3,) mm."""
         return self._measured[1]
 
@@ -185,7 +179,7 @@ class SurfaceMesh(Viewable):
         """Its triangles."""
         return Surface(self.vertices, self.faces, self.name, "mm")
 
-    def picture(self) -> NDArray[np.uint8] | None:
+    def picture(self) -> U8 | None:
         """Its triangles, seen from the front; None if it has none."""
         if not len(self.faces):
             return None
@@ -266,7 +260,7 @@ class ExpectedSize(NamedTuple):
     least: NDArray[np.float64]  # (2, 3): low and high corner; the box of the vertices reaches as far as this
     most: NDArray[np.float64]  # and no farther than this
 
-    def moved(self, scale: float, origin: NDArray[np.float64]) -> ExpectedSize:
+    def moved(self, scale: float, origin: F64) -> ExpectedSize:
         """Of the mesh times a scale, and moved by an origin."""
         return self._replace(least=self.least * scale + origin, most=self.most * scale + origin)
 
@@ -283,7 +277,7 @@ class PieceTaker(Protocol):
     def begin(self, expected: ExpectedSize) -> bool:
         """True if such a mesh can be taken in pieces; called before anything else, once for each try."""
 
-    def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
+    def add(self, points: F64, base: int, known: int, faces: I32) -> None:
         """Take the triangles (m, 3) of the next piece, all with corners among these points.
 
         The points (n, 3) are the vertices of the piece before, `known` of them, and of this one, numbered from `base`

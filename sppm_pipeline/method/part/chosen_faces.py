@@ -50,9 +50,7 @@ def faces_within(vertices: F64, faces: I32, others: F64, distance: float) -> Boo
 
 
 @jit
-def _near_points(
-    points: NDArray[np.float64], triangles: NDArray[np.float64], reach: float, found: NDArray[np.bool_]
-) -> None:
+def _near_points(points: F64, triangles: F64, reach: float, found: Bools) -> None:
     """Mark points, sorted along x, that are within reach of a triangle."""
     for f in range(triangles.shape[0]):
         t = triangles[f]
@@ -107,7 +105,7 @@ def _paint(triangles: F64, origin: F64, spacing: F64, start: int, reach: float, 
 
 
 @jit
-def _frame(t: NDArray[np.float64], frame: NDArray[np.float64]) -> bool:
+def _frame(t: F64, frame: F64) -> bool:
     """Unit normal, and for each edge the direction in the plane that points inwards; False without an area."""
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F64, I32, I64
+from sppm_pipeline.services.arrays import F64, I32, I64, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -27,7 +27,7 @@ class Crossings(NamedTuple):
 NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty((0, 3)))
 
 
-def unit_normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_normals(triangles: F64) -> F64:
     """Unit normals of triangles (m, 3, 3), zero for those without area."""
     normals: NDArray[np.float64] = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -35,9 +35,7 @@ def unit_normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     return normals
 
 
-def grid_crossings(
-    triangles: NDArray[np.float64], normals: NDArray[np.float64], grid: Grid, start: int, stop: int
-) -> Crossings:
+def grid_crossings(triangles: F64, normals: F64, grid: Grid, start: int, stop: int) -> Crossings:
     """Crossings of all grid edges that begin in the planes start <= k < stop with triangles (m, 3, 3).
 
     Those of consecutive ranges of planes, one after the other, are those of the whole grid.
@@ -117,7 +115,7 @@ def _cross(
     return n
 
 
-def on_surface(crossings: Crossings, grid: Grid, start: int, stop: int) -> NDArray[np.bool_]:
+def on_surface(crossings: Crossings, grid: Grid, start: int, stop: int) -> Bools:
     """Which nodes of the planes start <= k < stop lie on a triangle, up to rounding; (stop - start, ny, nx)."""
     nx, ny, _ = grid.shape
     found = np.zeros((stop - start, ny, nx), np.bool_)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.method.part.ray_crossings import Scan, prepare_scan
 from sppm_pipeline.method.part.scanline import Occupancy, ThreeAxisScan, prepare_three_axis, scan_layers, vote_layers
 from sppm_pipeline.method.part.spanned import SpannedScan, prepare_spanned, spanned_layers
-from sppm_pipeline.services.arrays import F64, Bools
+from sppm_pipeline.services.arrays import F64, I32, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.measures import balanced_edges, bounds
@@ -39,7 +39,7 @@ def way_for(closed: bool) -> Method:
     return "scanline" if closed else "winding"
 
 
-def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Method | None = None) -> InsideTest:
+def inside_test(vertices: F64, faces: I32, method: Method | None = None) -> InsideTest:
     """Wind a mesh outwards, choose its inside test unless given, and estimate on a coarse grid how reliable that is."""
     wound = orient(vertices, faces)
     closed = balanced_edges(wound.faces)
@@ -115,9 +115,7 @@ def cells_touched(
 
 
 @jit
-def _touch(
-    triangles: NDArray[np.float64], origin: NDArray[np.float64], edge: float, touched: NDArray[np.bool_]
-) -> None:
+def _touch(triangles: F64, origin: F64, edge: float, touched: Bools) -> None:
     low, high, middle = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3)
     for f in range(triangles.shape[0]):
         large = False
@@ -139,7 +137,7 @@ def _touch(
 
 
 @jit
-def _meets(triangle: NDArray[np.float64], middle: NDArray[np.float64], half: float) -> bool:
+def _meets(triangle: F64, middle: F64, half: float) -> bool:
     """Test a triangle against a cube that its box meets, by separating axes (Akenine-Moeller 2001); in doubt they meet.
 
     The axes are the normal of the triangle, and the products of its edges with those of the cube.

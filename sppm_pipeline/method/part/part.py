@@ -15,7 +15,7 @@ from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.capsules import depths_in_capsules
 from sppm_pipeline.method.part.domain_sampler import DomainSampler
 from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.services.arrays import F32, I32, U8, U64
+from sppm_pipeline.services.arrays import F32, I32, U8, U64, Bools
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class Part(WrappedField):
         hx, hy, hz = (edge * h for h in grid.spacing)
         return Grid((x, y, z), (hx, hy, hz), grid.shape)
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         """The larger of the microstructure's field and the distance from the domain in cell sizes.
 
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
@@ -109,9 +109,7 @@ class Part(WrappedField):
         inner, outer = self.apart_zyx(grid, threads, start, stop)
         return np.maximum(inner, outer, out=outer).T
 
-    def apart_zyx(
-        self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def apart_zyx(self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None) -> tuple[F32, F32]:
         """The microstructure's field, made solid inside the skin, and the distance from the domain in cell sizes.
 
         Both for kernels, (stop - start, ny, nx).
@@ -127,7 +125,7 @@ class Part(WrappedField):
 
     def fields_zyx(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32]]:
+    ) -> tuple[F32, F32 | None, F32]:
         """The fields of the microstructure, of the skin (None without one) and of the domain; see `apart_zyx`.
 
         Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
@@ -144,9 +142,7 @@ class Part(WrappedField):
             skin = away - np.float32(self.skin_mm) / edge
         return self._filled_and_drained_field(inner, skin, grid, start, stop), skin, outer
 
-    def within_zyx(
-        self, grid: Grid, threads: int, start: int, stop: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.bool_]]:
+    def within_zyx(self, grid: Grid, threads: int, start: int, stop: int) -> tuple[F32, F32 | None, Bools]:
         """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
         inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
         if self.skin_mm:
@@ -169,9 +165,7 @@ class Part(WrappedField):
                     np.maximum(values[window], depth / edge, out=values[window])
         return inner
 
-    def cut_zyx(
-        self, grid: Grid, threads: int, start: int, stop: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32], Crossings]:
+    def cut_zyx(self, grid: Grid, threads: int, start: int, stop: int) -> tuple[F32, F32 | None, F32, Crossings]:
         """`fields_zyx`, and where grid edges that begin in these layers pierce the triangles of the domain.
 
         Of the domain's field only the sign counts where these are known: without a skin and drains, a closed domain is
@@ -195,9 +189,7 @@ class Part(WrappedField):
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         return self._solid_inside_skin(grid, start, stop, threads)[0].T
 
-    def _solid_inside_skin(
-        self, grid: Grid, start: int, stop: int, threads: int
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8] | None]:
+    def _solid_inside_skin(self, grid: Grid, start: int, stop: int, threads: int) -> tuple[U8, U8, U8 | None]:
         """The solid, the domain, and the skin before drains (None without one), (stop - start, ny, nx) uint8."""
         from sppm_pipeline.method.assembly.occupancy import row_spans
 
@@ -227,9 +219,7 @@ class Part(WrappedField):
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         return self.counted_bits(grid, start, stop, threads)[0]
 
-    def counted_bits(
-        self, grid: Grid, start: int, stop: int, threads: int = 1
-    ) -> tuple[NDArray[np.uint64], dict[str, int]]:
+    def counted_bits(self, grid: Grid, start: int, stop: int, threads: int = 1) -> tuple[U64, dict[str, int]]:
         """`solid_bits`, and how many samples lie in the domain and in its skin, as ``domain`` and ``skin``."""
         from sppm_pipeline.services.bit_rows import count, pack
 
@@ -266,7 +256,7 @@ class Part(WrappedField):
         fine = self.skin_mm / 1.5 or math.inf
         return float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
 
-    def coarse_solid(self, threads: int = 1, pitch: float | None = None) -> tuple[NDArray[np.uint8], Grid]:
+    def coarse_solid(self, threads: int = 1, pitch: float | None = None) -> tuple[U8, Grid]:
         """The part on cubes of a pitch, mm, (nz, ny, nx) uint8, and their centers in mm; a margin is void.
 
         The pitch is `coarse_pitch` if omitted. A skin thinner than it is taken as thick, so that it stays closed.
@@ -281,7 +271,7 @@ class Part(WrappedField):
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
-    def inside_zyx(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+    def inside_zyx(self, grid: Grid, start: int, stop: int) -> U8:
         """Which samples of a grid lie in the domain, skin included, (stop - start, ny, nx) uint8."""
         return self._in_domain(grid).inside(start, stop)
 

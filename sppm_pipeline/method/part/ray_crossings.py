@@ -23,7 +23,7 @@ from sppm_pipeline.services.jit.compiled import jit
 _CHUNK = 16  # layers that share one list of triangles
 
 
-def as_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def as_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[F64, I32]:
     """A mesh (n, 3), (m, 3) in the types that the kernels are compiled for, C-contiguous float64 and int32.
 
     An InputError names a coordinate that is not finite or an index that names no vertex.
@@ -71,7 +71,7 @@ def prepare_scan(vertices: ArrayLike, faces: ArrayLike, grid: Grid, axis: int = 
     return Scan(points, triangles, starts, listed, origin, spacing, (n_ray, n_row, n_layer))
 
 
-def ray_crossings(scan: Scan, start: int, stop: int) -> Iterator[tuple[int, int, NDArray[np.int64], NDArray[np.int64]]]:
+def ray_crossings(scan: Scan, start: int, stop: int) -> Iterator[tuple[int, int, I64, I64]]:
     """Crossings of layers start <= k < stop, chunk by chunk: first layer, the one after the last, starts, and keys.
 
     The keys of row r are keys[starts[r] : starts[r + 1]], sorted; a key is twice the first sample behind the crossing,
@@ -130,7 +130,7 @@ def _list_by_chunks(
 
 
 @jit
-def _sort_short(values: NDArray[np.int64], start: int, stop: int) -> None:
+def _sort_short(values: I64, start: int, stop: int) -> None:
     """Shell sort: rows have few crossings, and a part that is itself porous some hundreds."""
     n = stop - start
     gap = 1

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F32, F64, I32
+from sppm_pipeline.services.arrays import F32, F64, I32, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
@@ -45,9 +44,7 @@ def distance_layers(triangles: F64, grid: Grid, start: int, stop: int, reach: fl
     return np.sqrt(wanted, out=wanted)
 
 
-def reach_bare_borders(
-    distance: NDArray[np.float32], inside: NDArray[np.uint8], below: int, spacing: tuple[float, float, float]
-) -> None:
+def reach_bare_borders(distance: F32, inside: U8, below: int, spacing: tuple[float, float, float]) -> None:
     """Measure from the border of the inside where it lies in a hole of the mesh, to half a spacing; in place.
 
     On the way to the nearest sample of the other kind one passes the border. If no triangle is as near as that sample,

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import U8
+from sppm_pipeline.services.arrays import F32, U8
 from sppm_pipeline.services.jit.compiled import jit
 
 # a distance that equals the thickness up to rounding counts as within
@@ -51,7 +50,7 @@ def skin_layers(occupancy: U8, spacing: tuple[float, float, float], thickness: f
 
 
 @jit
-def _row_distances(inside: NDArray[np.uint8], h: np.float32, reach: int, out: NDArray[np.float32]) -> None:
+def _row_distances(inside: U8, h: np.float32, reach: int, out: F32) -> None:
     """Squared distance to the nearest voxel outside in the same row; far where it is beyond reach."""
     n = inside.size
     x = 0
@@ -71,13 +70,13 @@ def _row_distances(inside: NDArray[np.uint8], h: np.float32, reach: int, out: ND
 
 
 @jit
-def _lower(least: NDArray[np.float32], other: NDArray[np.float32], add: np.float32) -> None:
+def _lower(least: F32, other: F32, add: np.float32) -> None:
     for x in range(least.size):
         least[x] = min(least[x], other[x] + add)
 
 
 @jit
-def _state(block: NDArray[np.float32]) -> int:
+def _state(block: F32) -> int:
     # counted, because sums of integers are vectorized under strict arithmetic and extrema of floats are not
     outside = np.int32(0)
     deep = np.int32(0)

@@ -112,7 +112,7 @@ def spanned_layers(scan: SpannedScan, start: int, stop: int) -> Occupancy:
 
 
 @jit
-def _node_areas(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _node_areas(triangles: F64, starts: I64) -> F64:
     leaves = starts.size - 1
     areas = np.zeros(2 * leaves - 1)
     # from the leaves up: the children of a node come after it

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F32
 from sppm_pipeline.services.grid import Grid
@@ -45,7 +44,7 @@ def below_plane(value: float, a: float, b: float, c: float) -> float:
 
 
 @jit
-def _add_fractions(samples: NDArray[np.float32], k: Any, shift: float, out: NDArray[np.float32]) -> None:
+def _add_fractions(samples: F32, k: Any, shift: float, out: F32) -> None:
     """Mean fraction of the k^3 parts of each voxel; `samples` has one part more on each side, `shift` is in parts."""
     nz, ny, nx = out.shape
     share = 1.0 / (k * k * k)

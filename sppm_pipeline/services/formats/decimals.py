@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F64, I64, U64
+from sppm_pipeline.services.arrays import F64, I32, I64, U64
 from sppm_pipeline.services.formats.encoding import Bytes, leading_zeros, store8, trailing_zeros
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -58,7 +58,7 @@ def vertex_rows(points: NDArray[np.floating], scale: tuple[float, int], words: W
     return out.data[: _put_vertices(out, rows, scale[0], scale[1], words.texts, words.lengths)]
 
 
-def face_rows(faces: NDArray[np.int32], base: int, words: Words) -> memoryview:
+def face_rows(faces: I32, base: int, words: Words) -> memoryview:
     """The text of vertex numbers (m, 3), the first vertex being `base`."""
     out = _room(faces.shape[0], words)
     return out.data[: _put_faces(out, faces, base, words.texts, words.lengths)]
@@ -111,9 +111,7 @@ def _put_vertices(out: Bytes, points: F64, scale: float, decimals: int, texts: U
 
 
 @jit
-def _put_faces(
-    out: Bytes, faces: NDArray[np.int32], base: int, texts: NDArray[np.uint64], lengths: NDArray[np.int64]
-) -> int:
+def _put_faces(out: Bytes, faces: I32, base: int, texts: U64, lengths: I64) -> int:
     i = 0
     for row in range(faces.shape[0]):
         for c in range(3):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import I32, U8
+from sppm_pipeline.services.arrays import I32, I64, U8, U64
 from sppm_pipeline.services.bit_rows import bit_index
 from sppm_pipeline.services.formats.prefix_codes import (
     LONGEST_CODE,
@@ -42,7 +42,7 @@ _COPIES = np.uint64(0x0101010101010101)
 _TOPS, _BELOW = np.uint64(0x8080808080808080), np.uint64(0x7F7F7F7F7F7F7F7F)
 
 
-def _run_symbols() -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+def _run_symbols() -> tuple[I32, I32, I32]:
     """Symbol, number of extra bits and their value for a run of each length (RFC 1951, section 3.2.5)."""
     symbol, bits, value = (np.zeros(_LONGEST_RUN + 1, np.int32) for _ in range(3))
     length, code = _SHORTEST_RUN, 257
@@ -60,7 +60,7 @@ _RUN_SYMBOL, _RUN_BITS, _RUN_VALUE = _run_symbols()
 _ORDER = np.array([16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15], np.int32)
 
 
-def deflated_rows(rows: NDArray[np.uint64], width: int) -> NDArray[np.uint8]:
+def deflated_rows(rows: U64, width: int) -> U8:
     """A zlib stream of a picture with one bit a pixel, each row after the Up filter of PNG.
 
     The rows (h, words), from the top, are bits as in `services.bit_rows`.
@@ -84,7 +84,7 @@ def _png_order(word: np.uint64) -> np.uint64:
 
 
 @jit
-def _tokens(rows: NDArray[np.uint64], row_bytes: int) -> tuple[NDArray[np.uint16], NDArray[np.int32], int]:
+def _tokens(rows: U64, row_bytes: int) -> tuple[NDArray[np.uint16], I32, int]:
     """The tokens of a picture, how often each occurs, and the check sum of its filtered bytes.
 
     Places count the filtered bytes from the first; `at` is the one of the last byte that a token describes. That byte
@@ -165,7 +165,7 @@ def _tokens(rows: NDArray[np.uint64], row_bytes: int) -> tuple[NDArray[np.uint16
 
 
 @jit
-def _repeat(out: NDArray[np.uint16], n: int, counts: NDArray[np.int32], value: int, times: int) -> int:
+def _repeat(out: NDArray[np.uint16], n: int, counts: I32, value: int, times: int) -> int:
     """Append the byte before, so many times."""
     while times >= _SHORTEST_RUN:
         length = min(times, _LONGEST_RUN)
@@ -181,7 +181,7 @@ def _repeat(out: NDArray[np.uint16], n: int, counts: NDArray[np.int32], value: i
 
 
 @jit
-def _zeros(out: NDArray[np.uint16], n: int, counts: NDArray[np.int32], zeros: int) -> int:
+def _zeros(out: NDArray[np.uint16], n: int, counts: I32, zeros: int) -> int:
     """Append zeros after another byte."""
     if zeros == 0:
         return n
@@ -192,7 +192,7 @@ def _zeros(out: NDArray[np.uint16], n: int, counts: NDArray[np.int32], zeros: in
 
 
 @jit
-def _members(token: int, symbols: NDArray[np.int64]) -> int:
+def _members(token: int, symbols: I64) -> int:
     """Write down what a token is written as, and return how many: bytes, and 256 + length for a run."""
     if token >= _AGAIN:
         symbols[0] = 256 + token - _AGAIN
@@ -214,7 +214,7 @@ def _members(token: int, symbols: NDArray[np.int64]) -> int:
 
 
 @jit
-def _symbol_counts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
+def _symbol_counts(counts: I32) -> I64:
     """Counts of each symbol of bytes and runs, from the counts of tokens."""
     often = np.zeros(_SYMBOLS, np.int64)
     often[_END] = 1

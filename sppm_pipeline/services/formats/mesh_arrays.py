@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.services.arrays import I32, I64
+from sppm_pipeline.services.arrays import F32, F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 DecodedMesh = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -108,7 +108,7 @@ def require_faces(name: str, faces: NDArray[np.integer]) -> None:
         raise InputError(f"{name}: the file holds no faces", hint="a surface is needed, not points or lines alone")
 
 
-def merge_equal(rows: NDArray[np.float32] | NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def merge_equal(rows: F32 | I32) -> tuple[I64, I32]:
     """Find equal rows (n, 3), bit by bit: 0 and -0 differ.
 
     The first row of each different one (k,), in the order of appearance, and each row's number among them (n,).
@@ -163,7 +163,7 @@ def _merge(
 
 
 @jit
-def _enter(bits: NDArray[np.uint32], first: NDArray[np.int64], slots: NDArray[np.int32]) -> None:
+def _enter(bits: NDArray[np.uint32], first: I64, slots: I32) -> None:
     """Enter rows that are known to differ into an empty table."""
     mask = np.int64(slots.size - 1)
     for number in range(first.size):
@@ -232,7 +232,7 @@ def place(name: str, meshes: Sequence[DecodedMesh], placed: Sequence[tuple[int, 
     return points, faces
 
 
-def _move(matrices: NDArray[np.float64], corners: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+def _move(matrices: F64, corners: F64, out: F64) -> None:
     x, y, z = corners.T
     with np.errstate(over="ignore", invalid="ignore"):
         for axis in range(3):
@@ -240,7 +240,7 @@ def _move(matrices: NDArray[np.float64], corners: NDArray[np.float64], out: NDAr
             out[:, :, axis] = a * x + b * y + c * z + shift
 
 
-def _determinants(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+def _determinants(matrices: F64) -> F64:
     a, b, c = (matrices[:, axis, :3] for axis in range(3))
     with np.errstate(over="ignore", invalid="ignore"):
         found: NDArray[np.float64] = (a * np.cross(b, c)).sum(axis=1)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import I64
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root, unite
 
@@ -61,7 +61,7 @@ def adjacency(faces: NDArray[np.integer]) -> Adjacency:
     return Adjacency(opposite, fans, int(count), surfaces, int(surface_count), int(split))
 
 
-def boundary_loops(vertices: NDArray[np.float64], faces: NDArray[np.integer], found: Adjacency) -> BoundaryLoops:
+def boundary_loops(vertices: F64, faces: NDArray[np.integer], found: Adjacency) -> BoundaryLoops:
     """The boundary loops of a mesh, the longest first."""
     triangles = np.ascontiguousarray(faces, np.int64).reshape(-1, 3)
     half_edges = np.flatnonzero(found.opposite == BOUNDARY)
@@ -82,7 +82,7 @@ def boundary_loops(vertices: NDArray[np.float64], faces: NDArray[np.integer], fo
 
 
 @jit
-def _opposite(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _opposite(keys: I64, order: I64, faces: I64) -> I64:
     opposite = np.full(keys.size, -1, np.int64)
     i = 0
     while i < order.size:
@@ -102,7 +102,7 @@ def _opposite(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[
 
 
 @jit
-def _number(parent: NDArray[np.int64]) -> int:
+def _number(parent: I64) -> int:
     """Replace each parent by the number of its set; a root is the smallest member, so it is met first."""
     count = 0
     for i in range(parent.size):
@@ -115,7 +115,7 @@ def _number(parent: NDArray[np.int64]) -> int:
 
 
 @jit
-def _fans(faces: NDArray[np.int64], opposite: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], int, int]:
+def _fans(faces: I64, opposite: I64, n: int) -> tuple[I64, int, int]:
     parent = np.arange(opposite.size)
     for h in range(opposite.size):
         g = opposite[h]
@@ -143,7 +143,7 @@ def _fans(faces: NDArray[np.int64], opposite: NDArray[np.int64], n: int) -> tupl
 
 
 @jit
-def _surfaces(opposite: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+def _surfaces(opposite: I64) -> tuple[I64, int]:
     parent = np.arange(opposite.size // 3)
     for h in range(opposite.size):
         if opposite[h] > h:

@@ -18,7 +18,6 @@ from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F32, F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
@@ -30,7 +29,7 @@ Axes = tuple[bool, bool, bool]
 _PLANES_AT_ONCE = 16  # small enough for a padded copy to stay in the cache, large enough for few calls
 
 
-def wrapped(field: NDArray[np.float32]) -> NDArray[np.float32]:
+def wrapped(field: F32) -> F32:
     """Periodic samples (nz, ny, nx) with the first plane of each axis repeated: (nz + 1, ny + 1, nx + 1)."""
     nz, ny, nx = field.shape
     whole = np.empty((nz + 1, ny + 1, nx + 1), field.dtype)
@@ -42,7 +41,7 @@ def wrapped(field: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def capped_marching_cubes(
-    field: NDArray[np.float32],
+    field: F32,
     level: float = 0.0,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
@@ -63,7 +62,7 @@ def capped_marching_cubes(
     return joined_mesh(pieces, lambda: _expected(field, level))
 
 
-def _expected(field: NDArray[np.float32], level: float) -> tuple[int, int]:
+def _expected(field: F32, level: float) -> tuple[int, int]:
     """About how many vertices and faces the capped surface has, from where some of the planes change sign along x."""
     some = field[:: max(1, field.shape[0] // 12)] < np.float32(level)
     crossed = np.count_nonzero(some[:, :, 1:] != some[:, :, :-1]) + 4 * np.count_nonzero(
@@ -76,7 +75,7 @@ def _expected(field: NDArray[np.float32], level: float) -> tuple[int, int]:
 
 
 def capped_marching_cubes_slabs(
-    slabs: Iterable[NDArray[np.float32]],
+    slabs: Iterable[F32],
     level: float = 0.0,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
@@ -100,7 +99,7 @@ def capped_marching_cubes_slabs(
     counts = np.zeros(3, np.int64)  # samples seen so far along each axis
     complete = False
 
-    def padded() -> Iterator[NDArray[np.float32]]:
+    def padded() -> Iterator[F32]:
         # The last plane of a slab is held back until it is known whether another follows, as the border passes there.
         nonlocal complete
         room = np.empty((0, 0, 0), np.float32)

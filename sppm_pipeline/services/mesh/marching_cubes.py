@@ -215,7 +215,7 @@ def _emit(
 
 
 def marching_cubes(
-    field: NDArray[np.float32],
+    field: F32,
     level: float = 0.0,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
@@ -251,7 +251,7 @@ def marching_cubes(
 
 
 def marching_cubes_slabs(
-    slabs: Iterable[NDArray[np.float32]],
+    slabs: Iterable[F32],
     level: float = 0.0,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F64, I32
+from sppm_pipeline.services.arrays import F64, I32, I64, U64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.paging import blocks
 from sppm_pipeline.services.union_find import find_root, unite
@@ -104,7 +104,7 @@ def euler_number(faces: NDArray[np.integer]) -> int:
     return int(np.count_nonzero(_used(faces))) - edge_counts(faces).edges + int(faces.shape[0])
 
 
-def components(faces: NDArray[np.integer]) -> tuple[int, NDArray[np.int32]]:
+def components(faces: NDArray[np.integer]) -> tuple[int, I32]:
     """Parts of the mesh that share no vertex.
 
     Returns
@@ -137,16 +137,12 @@ def surface_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> 
     return _volume_and_area(vertices, faces)[1]
 
 
-def bounds(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def bounds(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> tuple[F64, F64]:
     """Lowest and highest corner, (3,) each, of the box around the triangles; vertices without triangle are ignored."""
     return box_and_volume(vertices, faces)[:2]
 
 
-def box_and_volume(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def box_and_volume(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> tuple[F64, F64, float]:
     """`bounds` and `volume` in one pass."""
     if faces.size == 0:
         raise ValueError("a mesh without triangles has no bounds")
@@ -192,7 +188,7 @@ def _named(faces: NDArray[np.integer]) -> int:
     return high + 1
 
 
-def _numbered(faces: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
+def _numbered(faces: NDArray[np.integer]) -> tuple[I32, int]:
     """The triangles as compiled code needs them (it checks no index), and the number of vertices they may name."""
     if faces.size == 0:
         return read_only(np.empty((0, 3), np.int32)), 0
@@ -206,7 +202,7 @@ def read_only(array: NDArray[T]) -> NDArray[T]:
     return view
 
 
-def _used(faces: NDArray[np.integer]) -> NDArray[np.bool_]:
+def _used(faces: NDArray[np.integer]) -> Bools:
     if faces.size == 0:
         return np.zeros(0, np.bool_)
     used = np.zeros(_named(faces), np.bool_)
@@ -222,7 +218,7 @@ def _volume_and_area(vertices: NDArray[np.floating], faces: NDArray[np.integer])
     return float(found[0]), float(found[1]), int(found[2])
 
 
-def _sums_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+def _sums_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> F64:
     """Volume, area, flat triangles, and low and high corner, (9,), of a mesh with at least one triangle."""
     points = read_only(np.ascontiguousarray(vertices, np.float64))
     numbered, n = _numbered(faces)
@@ -236,13 +232,13 @@ def _sums_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDAr
     return found
 
 
-def nothing_found() -> NDArray[np.float64]:
+def nothing_found() -> F64:
     """Initial value of `add_sums`."""
     return np.concatenate([np.zeros(3), np.full(3, np.inf), np.full(3, -np.inf)])
 
 
 @jit
-def _edge_keys(faces: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+def _edge_keys(faces: I32, n: int) -> tuple[U64, I64]:
     """Smaller and larger vertex of each edge in one number, with the direction in the lowest bit.
 
     The keys come sorted by the smaller vertex; those of vertex a begin at starts[a].
@@ -265,7 +261,7 @@ def _edge_keys(faces: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], ND
 
 
 @jit
-def edge_balance(faces: NDArray[np.int32]) -> np.uint64:
+def edge_balance(faces: I32) -> np.uint64:
     """Summands of `balanced_edges`, modulo 2^64."""
     total = np.uint64(0)
     for i in range(faces.shape[0]):
@@ -283,7 +279,7 @@ def edge_balance(faces: NDArray[np.int32]) -> np.uint64:
 
 
 @jit
-def _insertion_sort(keys: NDArray[np.uint64]) -> None:
+def _insertion_sort(keys: U64) -> None:
     for i in range(1, keys.size):
         key = keys[i]
         j = i
@@ -294,7 +290,7 @@ def _insertion_sort(keys: NDArray[np.uint64]) -> None:
 
 
 @jit
-def _count_runs(keys: NDArray[np.uint64]) -> tuple[int, int, int, int]:
+def _count_runs(keys: U64) -> tuple[int, int, int, int]:
     edges, boundary, several, unbalanced = 0, 0, 0, 0
     i = 0
     while i < keys.size:
@@ -312,7 +308,7 @@ def _count_runs(keys: NDArray[np.uint64]) -> tuple[int, int, int, int]:
 
 
 @jit
-def _components(faces: NDArray[np.int32], n: int) -> tuple[int, NDArray[np.int32]]:
+def _components(faces: I32, n: int) -> tuple[int, I32]:
     """Union-find over the vertices; the smaller root wins, so that the labels do not depend on how it went."""
     parent = np.arange(n)
     for i in range(faces.shape[0]):

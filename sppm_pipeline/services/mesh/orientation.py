@@ -44,22 +44,22 @@ class Shells(NamedTuple):
     around: NDArray[np.int64]  # how often the other pieces go around the first corner of each piece
 
     @property
-    def cavities(self) -> NDArray[np.bool_]:
+    def cavities(self) -> Bools:
         """Pieces wound inwards, within the solid of others: they are hollows."""
         return (self.volumes < 0) & (self.around > 0)
 
     @property
-    def inside_out(self) -> NDArray[np.bool_]:
+    def inside_out(self) -> Bools:
         """Pieces wound inwards, within nothing: they can only be wrong."""
         return (self.volumes < 0) & (self.around <= 0)
 
     @property
-    def buried(self) -> NDArray[np.bool_]:
+    def buried(self) -> Bools:
         """Pieces wound outwards that start within the solid of others: what they enclose is solid anyway."""
         return (self.volumes > 0) & (self.around > 0)
 
 
-def shells(vertices: NDArray[np.float64], faces: NDArray[np.int32], tree: BoxTree | None = None) -> Shells:
+def shells(vertices: F64, faces: I32, tree: BoxTree | None = None) -> Shells:
     """Tell the pieces of a mesh, (n, 3) and (m, 3), whose edges are balanced, and how they lie to each other."""
     count, labels = components(faces)
     points = np.ascontiguousarray(vertices, np.float64)
@@ -72,7 +72,7 @@ def shells(vertices: NDArray[np.float64], faces: NDArray[np.int32], tree: BoxTre
     return Shells(labels, volumes, around)
 
 
-def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientation:
+def orient(vertices: F64, faces: I32) -> Orientation:
     """Wind the triangles of any mesh outwards.
 
     A closed mesh is left alone but for its pieces that are inside out, or all of it if its volume is negative.
@@ -105,7 +105,7 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientati
     return Orientation(wound, turned, int(patches), int(one_sided))
 
 
-def _areas(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _areas(triangles: F64) -> F64:
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
@@ -175,7 +175,7 @@ def _samples(triangles: F64, labels: I32, selected: Bools, n: int) -> tuple[F64,
     return t.mean(axis=1), normals / np.where(length > 0, length, 1.0), chosen
 
 
-def _around(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def _around(normals: F64) -> F64:
     """A direction for each normal, spread over the half ball around it."""
     # the sequence of low discrepancy of Roberts (2018): 1 / p and 1 / p^2 of the plastic number p, p^3 = p + 1
     i = np.arange(len(normals))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F64, I64
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.adjacency import adjacency
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree, box_tree
@@ -41,7 +41,7 @@ class OuterSurface(NamedTuple):
     volume: float  # of the union; not a number for a mesh that bounds no solid
 
 
-def outer_surface(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> OuterSurface | None:
+def outer_surface(vertices: F64, faces: I32) -> OuterSurface | None:
     """Find the surface of what a mesh, wound outwards, encloses at least once.
 
     Of a mesh that bounds no solid, pieces are left out whose winding numbers in front and behind are both above one
@@ -92,7 +92,7 @@ def outer_surface(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Ou
     return OuterSurface(np.ascontiguousarray(triangles[exposed]), owners[exposed], volume)
 
 
-def _numbers_at(tree: BoxTree, points: NDArray[np.float64], closed: bool) -> NDArray[np.float64]:
+def _numbers_at(tree: BoxTree, points: F64, closed: bool) -> F64:
     """Winding numbers, exact ones if the mesh is closed."""
     if not closed:
         return winding_numbers(dipoles(tree), points)
@@ -100,7 +100,7 @@ def _numbers_at(tree: BoxTree, points: NDArray[np.float64], closed: bool) -> NDA
     return layers_around(tree, labels, points, none).astype(np.float64)
 
 
-def _meeting(tree: BoxTree, tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _meeting(tree: BoxTree, tolerance: float) -> tuple[I64, I64, I64]:
     """Triangles that meet others beyond shared corners and edges, starts, and these others, in random order.
 
     Those of triangle meeting[i] are partners[starts[i] : starts[i + 1]].
@@ -173,7 +173,7 @@ def _find_pairs(triangles: F64, boxes: F64, starts: I64, tolerance: float, pairs
 
 
 @jit
-def _boxes_apart(u: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
+def _boxes_apart(u: F64, low: F64, high: F64) -> bool:
     apart = False
     for a in range(3):
         apart |= min(u[0, a], u[1, a], u[2, a]) > high[a] or max(u[0, a], u[1, a], u[2, a]) < low[a]
@@ -181,7 +181,7 @@ def _boxes_apart(u: NDArray[np.float64], low: NDArray[np.float64], high: NDArray
 
 
 @jit
-def _frame(t: NDArray[np.float64], tolerance: float, frame: NDArray[np.float64], corners: NDArray[np.float64]) -> bool:
+def _frame(t: F64, tolerance: float, frame: F64, corners: F64) -> bool:
     """Orthonormal frame of a triangle, its normal last, and the corners in it; False if it has no area."""
     length = 0.0
     for a in range(3):
@@ -248,7 +248,7 @@ def _segments_in(t: F64, u: F64, frame: F64, tolerance: float, others: F64, segm
 
 
 @jit
-def _overlap(p: NDArray[np.float64], q: NDArray[np.float64], tolerance: float) -> bool:
+def _overlap(p: F64, q: F64, tolerance: float) -> bool:
     """False if an edge of triangle p, in the plane, has all of triangle q on its outer side."""
     turn = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
     sign = 1.0 if turn > 0.0 else -1.0
@@ -264,7 +264,7 @@ def _overlap(p: NDArray[np.float64], q: NDArray[np.float64], tolerance: float) -
 
 
 @jit
-def _length_within(corners: NDArray[np.float64], segment: NDArray[np.float64], margin: float) -> float:
+def _length_within(corners: F64, segment: F64, margin: float) -> float:
     """Length of a segment within a counterclockwise triangle that is wider by a margin (Cyrus and Beck 1978)."""
     vx, vy = segment[2] - segment[0], segment[3] - segment[1]
     first, last = 0.0, 1.0
@@ -283,9 +283,7 @@ def _length_within(corners: NDArray[np.float64], segment: NDArray[np.float64], m
 
 
 @jit
-def _divides(
-    piece: NDArray[np.float64], segment: NDArray[np.float64], tolerance: float, sides: NDArray[np.float64]
-) -> bool:
+def _divides(piece: F64, segment: F64, tolerance: float, sides: F64) -> bool:
     """True if a segment crosses the inside of a triangle; `sides` gets how far its corners are off the line."""
     vx, vy = segment[2] - segment[0], segment[3] - segment[1]
     length = np.sqrt(vx * vx + vy * vy)
@@ -311,7 +309,7 @@ def _dividing(piece: F64, segments: F64, candidates: I64, tolerance: float) -> I
 
 
 @jit
-def _split(piece: NDArray[np.float64], sides: NDArray[np.float64], parts: NDArray[np.float64]) -> int:
+def _split(piece: F64, sides: F64, parts: F64) -> int:
     """Cut a triangle along a line, given by the distances of its corners; returns the number of triangles it makes."""
     on = -1
     for k in range(3):
@@ -340,7 +338,7 @@ def _split(piece: NDArray[np.float64], sides: NDArray[np.float64], parts: NDArra
 
 
 @jit
-def _pieces(t: NDArray[np.float64], partners: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+def _pieces(t: F64, partners: F64, tolerance: float) -> F64:
     """Triangles (n, 3, 3) that make up a triangle and are crossed by none of its partners (k, 3, 3)."""
     frame, corners, others, found = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2)), np.empty((3, 4))
     segments = np.empty((3 * partners.shape[0], 4))

@@ -135,7 +135,7 @@ def _layers(triangles: F64, boxes: F64, starts: I64, labels: I32, points: F64, o
 
 
 @jit
-def _hit(t: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64], both: bool) -> float:
+def _hit(t: F64, p: F64, d: F64, both: bool) -> float:
     """Distance along a ray to a triangle (Möller and Trumbore 1997); infinity if it is not hit."""
     ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     vx, vy, vz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
@@ -156,7 +156,7 @@ def _hit(t: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64],
 
 
 @jit
-def _enters(box: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64], best: float) -> bool:
+def _enters(box: F64, p: F64, d: F64, best: float) -> bool:
     """True if a ray meets a box nearer than the best hit."""
     near, far = 0.0, best
     for a in range(3):

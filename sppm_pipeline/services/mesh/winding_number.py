@@ -35,7 +35,7 @@ def dipoles(tree: BoxTree) -> Dipoles:
     return Dipoles(tree.triangles, tree.boxes, tree.starts, _poles(tree.triangles, tree.boxes, tree.starts))
 
 
-def winding_numbers(tree: Dipoles, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def winding_numbers(tree: Dipoles, points: F64) -> F64:
     """The winding number of points (k, 3); 1 inside a closed mesh, 0 outside, and between them near a hole."""
     return _numbers(tree.triangles, tree.starts, tree.poles, np.ascontiguousarray(points, np.float64), FAR_RADII)
 
@@ -79,7 +79,7 @@ def _poles(triangles: F64, boxes: F64, starts: I64) -> F64:
 
 
 @jit
-def _solid_angle(t: NDArray[np.float64], x: float, y: float, z: float) -> float:
+def _solid_angle(t: F64, x: float, y: float, z: float) -> float:
     """Half the solid angle of a triangle (van Oosterom and Strackee 1983), positive seen from behind."""
     ax, ay, az = t[0, 0] - x, t[0, 1] - y, t[0, 2] - z
     bx, by, bz = t[1, 0] - x, t[1, 1] - y, t[1, 2] - z

@@ -48,7 +48,7 @@ def _view_coordinates(points: F64, axes: F64, target: F64) -> tuple[F64, ...]:
     return tuple(axis[0] * x + axis[1] * y + axis[2] * z for axis in axes)
 
 
-def framed(camera: Camera, points: NDArray[np.float64], size: tuple[int, int], margin: float = 0.04) -> Frame:
+def framed(camera: Camera, points: F64, size: tuple[int, int], margin: float = 0.04) -> Frame:
     """Point a camera at points (n, 3) so that they fill a picture (width, height) but for a margin on each side."""
     if not -90.0 <= camera.elevation <= 90.0:
         raise DesignError(f"the elevation is {camera.elevation} degrees, allowed are -90 to 90")
@@ -92,7 +92,7 @@ def framed(camera: Camera, points: NDArray[np.float64], size: tuple[int, int], m
     )
 
 
-def projected(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def projected(frame: Frame, points: F64) -> F64:
     """Place of points (n, 3) in the picture: column and row in pixels, and nearness.
 
     Nearness is a number that is linear over a projected triangle and grows towards the viewer (the coordinate towards

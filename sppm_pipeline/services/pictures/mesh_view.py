@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
@@ -27,9 +27,7 @@ _CREASE_COSINE = math.cos(math.radians(38.0))
 
 
 @jit
-def _nearest_triangles(
-    places: NDArray[np.float64], faces: NDArray[np.int64], nearness: NDArray[np.float32], owner: NDArray[np.int32]
-) -> None:
+def _nearest_triangles(places: F64, faces: I64, nearness: F32, owner: I32) -> None:
     """Write the nearest triangle at the center of each sample; the first of equally near ones stays."""
     height, width = nearness.shape
     for f in range(faces.shape[0]):
@@ -65,7 +63,7 @@ def _nearest_triangles(
 
 
 @jit
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def vertex_normals(vertices: F64, faces: I64) -> F64:
     """Unit means of the normals of the triangles at each vertex.
 
     Weighted by the angle at the vertex (Thürmer and Wüthrich 1998, "Computing vertex normals from polygonal facets"),
@@ -209,7 +207,7 @@ def render_mesh(
     background: Background = "light",
     margin: float = 0.04,
     threads: int = 1,
-) -> NDArray[np.uint8]:
+) -> U8:
     """Picture of a triangle mesh.
 
     Both sides of a triangle are seen and lit alike.

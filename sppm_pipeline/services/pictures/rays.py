@@ -83,7 +83,7 @@ def list_overlaps(places: F64, faces: I64, width: int, height: int, starts: I64,
 
 
 @jit
-def _left(places: NDArray[np.float64], tail: int, head: int, x: float, y: float) -> bool:
+def _left(places: F64, tail: int, head: int, x: float, y: float) -> bool:
     """Test whether a point is to the left of an edge; the triangles at both sides of it get the same answer."""
     low, high = min(tail, head), max(tail, head)
     ax, ay = places[low, 0], places[low, 1]
@@ -92,7 +92,7 @@ def _left(places: NDArray[np.float64], tail: int, head: int, x: float, y: float)
 
 
 @jit
-def _weights(places: NDArray[np.float64], a: int, b: int, c: int, x: float, y: float) -> tuple[float, float]:
+def _weights(places: F64, a: int, b: int, c: int, x: float, y: float) -> tuple[float, float]:
     """Weights of the second and third corner of a triangle at a point of the picture."""
     ax, ay = places[a, 0], places[a, 1]
     bx, by = places[b, 0] - ax, places[b, 1] - ay
@@ -102,7 +102,7 @@ def _weights(places: NDArray[np.float64], a: int, b: int, c: int, x: float, y: f
 
 
 @jit
-def _trilinear(values: NDArray[np.float32], x: float, y: float, z: float) -> float:
+def _trilinear(values: F32, x: float, y: float, z: float) -> float:
     """Interpolated sample; the border is continued."""
     nz, ny, nx = values.shape
     x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
@@ -119,9 +119,7 @@ def _trilinear(values: NDArray[np.float32], x: float, y: float, z: float) -> flo
 
 
 @jit
-def _value(
-    field: NDArray[np.float32], skin: NDArray[np.float32], outer: NDArray[np.float32], x: float, y: float, z: float
-) -> float:
+def _value(field: F32, skin: F32, outer: F32, x: float, y: float, z: float) -> float:
     """Negative in the solid."""
     value = _trilinear(field, x, y, z)
     if skin.size > 0:
@@ -184,7 +182,7 @@ def _way_out(x: float, along: float, i: int, reach: int) -> float:
 
 
 @jit
-def _slope(values: NDArray[np.float32], x: float, y: float, z: float, out: NDArray[np.float64]) -> None:
+def _slope(values: F32, x: float, y: float, z: float, out: F64) -> None:
     """Unit normal of a level set, from differences over two spacings."""
     out[0] = _trilinear(values, x + 1.0, y, z) - _trilinear(values, x - 1.0, y, z)
     out[1] = _trilinear(values, x, y + 1.0, z) - _trilinear(values, x, y - 1.0, z)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import F32, I64, U8
+from sppm_pipeline.services.arrays import F32, F64, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import in_bands
 
@@ -57,7 +57,7 @@ def empty_seen(width: int, height: int) -> Seen:
     )
 
 
-def _ball_points() -> NDArray[np.float32]:
+def _ball_points() -> F32:
     """Points in the unit ball, denser towards its center, the same everywhere: a spiral on the sphere."""
     n = np.arange(_SAMPLES)
     z = 1.0 - (2.0 * n + 1.0) / _SAMPLES
@@ -69,7 +69,7 @@ def _ball_points() -> NDArray[np.float32]:
     return np.asarray(points * radius[:, None], np.float32)
 
 
-def _rotations() -> NDArray[np.float32]:
+def _rotations() -> F32:
     """Cosine, sine and size of 16 turns in the order of a 4 x 4 ordered dither, so that neighbors differ most."""
     order = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
     angle = order * (2.0 * np.pi / 16.0)
@@ -254,12 +254,12 @@ def add_light(
             light[r, c, channel] *= share
 
 
-def _linear_light(coded: NDArray[np.float64]) -> NDArray[np.float64]:
+def _linear_light(coded: F64) -> F64:
     """From sRGB values 0..1 to light (IEC 61966-2-1)."""
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
 
-def _coded_light(light: NDArray[np.float64]) -> NDArray[np.float64]:
+def _coded_light(light: F64) -> F64:
     """From light 0..1 to sRGB values (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
@@ -289,7 +289,7 @@ def hidden_sky(seen: Seen, threads: int = 1) -> Hidden:
     return Hidden(*found)
 
 
-def lit(seen: Seen, hidden: Hidden | None, occlusion: float, supersampling: int = 1) -> NDArray[np.float32]:
+def lit(seen: Seen, hidden: Hidden | None, occlusion: float, supersampling: int = 1) -> F32:
     """Light of each pixel, (h, w, 4) float32: red, green and blue of what is seen, and the share of samples with any.
 
     Without `hidden` nothing is in the shade of anything.
@@ -307,7 +307,7 @@ def check_background(background: Background) -> None:
         raise ValueError(f"the background is {background!r}, allowed are {', '.join(BACKGROUNDS)} and {TRANSPARENT}")
 
 
-def on_background(light: NDArray[np.float32], background: Background) -> NDArray[np.uint8]:
+def on_background(light: F32, background: Background) -> U8:
     """The picture in sRGB (h, w, 3), or (h, w, 4) if transparent, of light (h, w, 4) as `lit` gives it."""
     check_background(background)
     height, width = light.shape[:2]

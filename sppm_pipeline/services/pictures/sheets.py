@@ -8,10 +8,10 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.services.arrays import U8
+from sppm_pipeline.services.arrays import F64, U8
 from sppm_pipeline.services.pictures.shading import Color
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def contact_sheet(
     text_size: int = 20,
     background: Color = PAPER,
     ink: Color = INK,
-) -> NDArray[np.uint8]:
+) -> U8:
     """Place pictures in a grid, row by row, with labels beneath.
 
     Parameters
@@ -168,7 +168,7 @@ def layer_sheet(
     pixel: tuple[float, float] = (1.0, 1.0),
     solid: Color = _SOLID,
     void: Color = _VOID,
-) -> NDArray[np.uint8]:
+) -> U8:
     """Show printing layers side by side, as they are printed, (h, w) with row 0 on top; gray values are mixed.
 
     `width` is that of the widest layer on the sheet in pixels. Larger layers are averaged down; smaller ones are
@@ -197,7 +197,7 @@ def layer_sheet(
     return contact_sheet(pictures, labels, columns=columns, title=title, background=_AROUND_LAYERS)
 
 
-def colors_of(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.uint8]:
+def colors_of(values: F64, low: float, high: float) -> U8:
     """Colors (n, 3) of values (n,) between two ends; what lies outside takes the color of the end."""
     span = high - low
     share = np.clip((values - low) / span if span > 0 else np.zeros_like(values), 0, 1) * (len(_ANCHORS) - 1)
@@ -212,7 +212,7 @@ def _round_numbers(low: float, high: float) -> list[float]:
     return [n * step for n in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 
-def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, width: int) -> NDArray[np.uint8]:
+def with_scale(picture: U8, low: float, high: float, title: str, width: int) -> U8:
     """The picture (h, w, 3) with a bar of colors of some width to its right."""
     from PIL import Image, ImageDraw
 
@@ -301,7 +301,7 @@ def _draw_axes(canvas: Image, frame: Frame, ink: Color) -> None:
         canvas.paste(patch, (left, top), patch)
 
 
-def folded_sections(folded: NDArray[np.float64], mean: float, expected: float) -> NDArray[np.uint8]:
+def folded_sections(folded: F64, mean: float, expected: float) -> U8:
     """Three sections (height, width, 3) of two by two cells, with the cells' borders and a scale around the mean.
 
     From left to right the plane of the faces z = 0, with corners, edges and faces; the plane z = 1/2, with edges, faces
@@ -321,7 +321,7 @@ def folded_sections(folded: NDArray[np.float64], mean: float, expected: float) -
     return with_scale(contact_sheet(pictures, labels, columns=3, title=title), 0.0, high, "solid share", 120)
 
 
-def _two_by_two(section: NDArray[np.float64], high: float) -> NDArray[np.uint8]:
+def _two_by_two(section: F64, high: float) -> U8:
     """The section from -1/2 to 3/2 in both directions, the second one upward, with lines on the cells' borders."""
     (width, height), size = section.shape, _SECTION
     place = (np.arange(size) + 0.5) / size * 2 + 0.5  # in cells, positive
