@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.services.arrays import F64, I32, U8, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
-from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
+from sppm_pipeline.services.nearest import squared_to_triangle
 
 SLACK = 1.0 + 1e-6
 """A distance that equals the thickness up to rounding counts as within, as in `skin_layers`."""

@@ -15,7 +15,7 @@ import numpy as np
 from sppm_pipeline.services.arrays import F32, F64, I32, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
-from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
+from sppm_pipeline.services.nearest import squared_to_triangle
 
 
 def distance_layers(triangles: F64, grid: Grid, start: int, stop: int, reach: float) -> F32:

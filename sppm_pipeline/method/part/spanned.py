@@ -21,8 +21,8 @@ from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, box_tree
 from sppm_pipeline.services.mesh.measures import components
-from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
 from sppm_pipeline.services.mesh.winding_number import FAR_RADII, Dipoles, dipoles, winding_at
+from sppm_pipeline.services.nearest import squared_to_triangle
 
 UNDECIDED = 0.25
 """A voxel is undecided if its winding number is nearer than this to one half."""

@@ -6,7 +6,7 @@ import pytest
 from sppm_pipeline.method.part.chosen_faces import SLACK, add_skin_on, faces_toward, faces_within
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
+from sppm_pipeline.services.nearest import squared_to_triangle
 
 GRID = Grid((-0.1, -0.2, -0.15), (0.07, 0.05, 0.06), (20, 26, 24))
 

@@ -62,7 +62,7 @@ def test_the_mesh_has_the_same_skin(wang_tiling, ball):
     # no surface within the skin: of all vertices inside the ball, none is nearer to the chosen faces
     at = np.array(part.origin_mm) + part.physical_edge() * vertices
     deep = at[np.linalg.norm(at - 5, axis=1) < 4.8]
-    from sppm_pipeline.services.mesh.triangle_distance import squared_to_triangle
+    from sppm_pipeline.services.nearest import squared_to_triangle
 
     nearest = np.sqrt([min(squared_to_triangle(t, *p) for t in chosen) for p in deep[::40]])
     assert len(nearest) > 50
