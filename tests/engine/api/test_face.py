@@ -54,6 +54,7 @@ OWN = {
     ),
     "EncodedLayers.__init__",  # stores and notebooks are given these, and make none
     "Run.__init__",
+    "SurfaceMesh.outer_surface",  # where shells overlap; plugins are given the mesh
 }
 """What is public in name, but called by the program alone."""
 
