@@ -45,13 +45,12 @@ Item = TypeVar("Item")
 def voxels_along_edge(field: ScalarField, resolution: int | None, voxel: Length | None) -> int:
     """Voxels along an edge of the cell: as given, or as many as keep them within `voxel`; 32 if neither is given.
 
-    Raises
-    ------
-    DesignError
-        If `voxel` is given for a cell without a physical size, or leads to fewer or more voxels than are allowed.
+    DesignError if `voxel` is given for a cell without a physical size, or leads to fewer or more voxels than are
+    allowed.
     """
     if voxel is None:
         return resolution or 32
+    # an edge that is a whole number of voxels up to rounding gets that number
     n = math.ceil(field.physical_edge() / voxel.mm() - 1e-9)
     if not MIN_VOXELS <= n <= MAX_VOXELS:
         raise DesignError(
@@ -70,67 +69,37 @@ def expected_voxels(edge_mm: float | None, resolution: int | None, voxel: Length
 
 
 def on_torus(field: ScalarField) -> bool:
-    """Return whether a field is a single periodic cell, which continues across opposite faces."""
+    """Test whether a field is a single periodic cell, which continues across opposite faces."""
     return field.periodic and field.cells == (1, 1, 1) and not isinstance(field, Part)
 
 
 class SampledSlab(NamedTuple):
-    """Consecutive planes of samples.
+    """Consecutive planes of samples."""
 
-    Attributes
-    ----------
-    start : int
-        Number of the first plane.
-    values : (planes, ny, nx) float32
-        Negative in the solid.
-    apart : tuple of (planes, ny, nx) float32, or None
-        Of a part: the fields of the microstructure, of the domain, and of the skin if there is one.
-    crossings : Crossings
-        Of a part's domain with edges that begin in these planes.
-    """
-
-    start: int
-    values: NDArray[np.float32]
+    start: int  # number of the first plane
+    values: NDArray[np.float32]  # (planes, ny, nx), negative in the solid
+    # of a part: the fields of the microstructure, of the domain, and of the skin if there is one
     apart: tuple[NDArray[np.float32], ...] | None
-    crossings: Crossings
+    crossings: Crossings  # of a part's domain with edges that begin in these planes
 
 
 class _FlatPiece(NamedTuple):
-    """A piece whose vertices are not yet moved, and the surroundings of its rims.
-
-    Attributes
-    ----------
-    piece : MeshPiece
-    points : (k, 3) float64
-        Those on rims of this piece and all before.
-    losers, lost : (k,) int32, (k,) float64
-        Vertices beside rims with volumes that are lost there.
-    """
+    """A piece whose vertices are not yet moved, and the surroundings of its rims."""
 
     piece: MeshPiece
-    points: NDArray[np.float64]
-    losers: NDArray[np.int32]
-    lost: NDArray[np.float64]
+    points: NDArray[np.float64]  # (k, 3), those on rims of this piece and all before
+    losers: NDArray[np.int32]  # (k,), vertices beside rims with volumes that are lost there
+    lost: NDArray[np.float64]  # (k,), these volumes, voxels
 
 
 @dataclass(frozen=True)
 class SampledSlabs:
-    """All samples of a grid, to be read once.
-
-    Attributes
-    ----------
-    slabs : iterator of SampledSlab
-    findings : dict
-        What was removed.
-    expected : (int, int)
-        About how many vertices and triangles the surface will have; zeros if that is not known.
-    predict : function or None
-        Predicts counts and box of the mesh; None if they cannot be known.
-    """
+    """All samples of a grid, to be read once."""
 
     slabs: Iterator[SampledSlab]
-    findings: dict[str, Any] = field(default_factory=dict)
-    expected: tuple[int, int] = (0, 0)
+    findings: dict[str, Any] = field(default_factory=dict)  # what was removed
+    expected: tuple[int, int] = (0, 0)  # about how many vertices and triangles; zeros if that is not known
+    # predicts counts and box of the mesh; None if they cannot be known
     predict: Callable[[], ExpectedSize] | None = None
 
     def __iter__(self) -> Iterator[SampledSlab]:
@@ -141,34 +110,23 @@ class SampledSlabs:
 class FieldSurface:
     """The boundary of the solid of a field; memory is that of a slab, and of up to `KEPT_SAMPLES` samples.
 
-    Attributes
-    ----------
-    source : ScalarField
-    grid : Grid
-        Nodes, cell sizes.
-    islands : {"auto", "remove", "keep"}
-        Whether solid that is not connected, across faces of voxels around the nodes, to the largest component is left
-        out. On the grid of a single periodic cell components are found on the torus, so that opposite faces stay equal.
-    caps : bool
-        Whether the surface is closed where the solid meets the border of the grid.
-    cut : bool
-        Whether a part ends at the surface of its domain. Otherwise it ends at least a voxel outside of it, without
-        regard to shape, and is there to be cut by the mesh of the domain; `islands` are then to be kept.
+    With `islands` to be removed, solid that is not connected, across faces of voxels around the nodes, to the largest
+    component is left out; on the grid of a single periodic cell components are found on the torus, so that opposite
+    faces stay equal. `caps` close the surface where the solid meets the border of the grid. A part that is `cut` ends
+    at the surface of its domain. Otherwise it ends at least a voxel outside of it, without regard to shape, and is
+    there to be cut by the mesh of the domain; `islands` are then to be kept.
     """
 
     source: ScalarField
-    grid: Grid
-    islands: str = "auto"
+    grid: Grid  # nodes, cell sizes
+    islands: str = "auto"  # auto, remove or keep
     caps: bool = True
     cut: bool = True
 
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
-        """Vertices (n, 3) float64 in cell sizes, faces (m, 3) int32, and what was removed.
-
-        The bytes are the same whatever the number of threads.
-        """
+        """Vertices (n, 3) float64 in cell sizes, faces (m, 3) int32, and what was removed; same for all `threads`."""
         return self.mesh_with_kinds(threads, progress)[:3]
 
     def mesh_with_kinds(
@@ -294,6 +252,7 @@ class FieldSurface:
         # on the torus the last node of an axis is the first one
         torus = on_torus(self.source)
         nx, ny, nz = (n - torus for n in self.grid.shape)
+        # a part is sampled as up to three fields, which are kept apart
         keep = nx * ny * nz * (3 if isinstance(self.source, Part) else 1) <= KEPT_SAMPLES
         kept: deque[SampledSlab] = deque()
         runs = []

@@ -18,20 +18,10 @@ Arrays = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 class MeshStore:
-    """Takes vertices and faces as they come.
+    """Takes vertices and faces as they come; a mesh beyond `limit` bytes goes into nameless files in `folder`.
 
-    Parameters
-    ----------
-    limit : int
-        Bytes that are kept in memory; a larger mesh goes into files without names, which vanish with it or with the
-        process.
-    folder : Path
-        Where these files are made.
-    expected : (int, int)
-        About how many vertices and faces there will be; memory reserved at once is filled in less time.
-    scale : float
-    origin : 3 floats
-        Vertices are stored times the scale, and moved by the origin.
+    The files vanish with it or with the process. Memory for the `expected` numbers of vertices and faces is reserved at
+    once, which is filled in less time. Vertices are stored times the scale, and moved by the origin.
     """
 
     def __init__(
@@ -54,17 +44,8 @@ class MeshStore:
     def add(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
         """Append vertices (n, 3) and faces (m, 3); of the latter, negative ones -1 - p stand for points on rims.
 
-        Returns
-        -------
-        (n, 3) float64
-            The vertices as they are stored; valid until the next ones come.
-
-        Raises
-        ------
-        ResourceError
-            If the mesh has more vertices than 32 bits count.
-        OSError
-            If the disk is full.
+        Returns the vertices as they are stored, valid until the next ones come. ResourceError if the mesh has more
+        vertices than 32 bits count, OSError if the disk is full.
         """
         from sppm_pipeline.features.surface.numerics.placing import put_rescaled
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,56 +11,24 @@ from numpy.typing import NDArray
 from sppm_pipeline.method.nouns.mesh import ExpectedSize
 
 if TYPE_CHECKING:
+    from sppm_pipeline.features.surface.field_surface import SampledSlabs
     from sppm_pipeline.features.surface.numerics.rims import Split
 
 
 class MeshPiece(NamedTuple):
-    """Some vertices and triangles of a mesh.
+    """Some vertices and triangles of a mesh."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-        Those that follow upon those of the pieces before; valid until the next piece is asked for.
-    faces : (m, 3) int32
-        With corners in this piece and those before, by their numbers in the whole mesh. Negative numbers -1 - p stand
-        for point p of those on rims, which come behind all other vertices.
-    kinds : (m,) uint8
-        What each face lies on, or without elements.
-    """
-
+    # (n, 3), following upon those of the pieces before; valid until the next piece is asked for
     vertices: NDArray[np.float64]
+    # (m, 3), by numbers in the whole mesh, of this piece and those before; -1 - p is point p of those on rims
     faces: NDArray[np.int32]
-    kinds: NDArray[np.uint8]
-
-
-class Source(Protocol):
-    """Source of a mesh stream."""
-
-    @property
-    def expected(self) -> tuple[int, int]:
-        """About how many vertices and triangles there will be; zeros if that is not known."""
-
-    @property
-    def findings(self) -> dict[str, Any]:
-        """Removed solid and other findings."""
-
-    @property
-    def predict(self) -> Callable[[], ExpectedSize] | None:
-        """Predicts counts and box of the mesh; None if they cannot be known."""
+    kinds: NDArray[np.uint8]  # (m,), what each face lies on, or without elements
 
 
 class MeshStream:
-    """A mesh, to be read once.
+    """A mesh, to be read once: its pieces, the points on their rims, and the samples they are made from."""
 
-    Parameters
-    ----------
-    pieces : iterator of MeshPiece
-    rims : RimPoints
-        Gets the points of the pieces.
-    source : Source
-    """
-
-    def __init__(self, pieces: Iterator[MeshPiece], rims: RimPoints, source: Source) -> None:
+    def __init__(self, pieces: Iterator[MeshPiece], rims: RimPoints, source: SampledSlabs) -> None:
         self._pieces = pieces
         self._rims = rims
         self._source = source
@@ -141,13 +109,7 @@ class RimPoints:
 
 
 class PieceWindow:
-    """The vertices of a piece behind those of the piece before, times a scale and moved by an origin.
-
-    Parameters
-    ----------
-    scale : float
-    origin : (3,) float64
-    """
+    """The vertices of a piece behind those of the piece before, times a scale and moved by an origin (3,)."""
 
     def __init__(self, scale: float, origin: NDArray[np.float64]) -> None:
         self._scale, self._origin = scale, origin

@@ -1,8 +1,7 @@
 """Booleans of solids and extraction of surfaces by manifold3d in a child process, with the bytes of a direct call.
 
-manifold3d is careful code, but degenerate meshes have crashed it and kept it busy for hours. What is called in the
-child are the functions of `numerics.surface`, their checks included, so that messages are the
-same as well.
+manifold3d is careful code, but degenerate meshes have crashed it and kept it busy for hours. The child calls the
+functions of `numerics`, their checks included, so that messages are the same as well.
 """
 
 from __future__ import annotations
@@ -30,34 +29,18 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class ManifoldLimits(NamedTuple):
-    """Limits of one child.
-
-    Attributes
-    ----------
-    seconds : float
-    memory : int or None
-        Bytes; None for what is available.
-    progress : callable or None
-        Called as ``progress(done, total, step)``.
-    """
+    """Limits of one child."""
 
     seconds: float
-    memory: int | None = None
-    progress: Callable[[float, float, str], object] | None = None
+    memory: int | None = None  # bytes; None for what is available
+    progress: Callable[[float, float, str], object] | None = None  # called with done, total, step
 
 
 class Combined(NamedTuple):
-    """The result of a Boolean.
-
-    Attributes
-    ----------
-    mesh : (vertices (n, 3) float64, faces (m, 3) int32)
-    tool_volume : float
-        Of the second operand, its copies united.
-    """
+    """The result of a Boolean."""
 
     mesh: Mesh
-    tool_volume: float
+    tool_volume: float  # of the second operand, its copies united
 
 
 def manifold_combine(
@@ -69,25 +52,10 @@ def manifold_combine(
     *,
     places: Sequence[NDArray[np.float64]] = (),
 ) -> Combined:
-    """Union, difference or intersection of two solids, by `numerics.surface.booleans.boolean` in a child process.
+    """Union, difference or intersection of two closed solids, wound outwards, by `booleans.boolean` in a child process.
 
-    Parameters
-    ----------
-    first, second : (vertices (n, 3) float64, faces (m, 3) int32)
-        Closed, wound outwards.
-    operation : {"union", "difference", "intersection"}
-    names : 2 strings
-        Names of the solids in messages.
-    limits : ManifoldLimits
-    places : sequence of (3,) float64, optional
-        Where copies of the second solid are put and united beforehand; if omitted, it stays where it is.
-
-    Raises
-    ------
-    InputError, DesignError
-        As `boolean`.
-    NativeCrash, ResourceError, PluginError
-        As `run_native`.
+    `names` are those of the solids in messages. Copies of the second one are put at `places`, (3,) each, and united
+    beforehand; without places it stays where it is. Errors are those of `boolean` and of `run_native`.
     """
     (first_vertices, first_faces), (vertices, faces) = first, second
     arrays: dict[str, NDArray[Any]] = {
@@ -128,13 +96,7 @@ def manifold_extract(
     tolerance: float | None,
     limits: ManifoldLimits,
 ) -> tuple[Mesh, str]:
-    """The surface of a sampled solid, by `numerics.surface.level_set.run_level_set` in a child process.
-
-    Raises
-    ------
-    NativeCrash, ResourceError, PluginError
-        As `run_native`.
-    """
+    """The surface of a sampled solid, by `level_set.run_level_set` in a child process; errors as of `run_native`."""
     options = {"origin": [float(v) for v in origin], "spacing": float(spacing), "tolerance": tolerance}
     found = _run(EXTRACT, {"samples": samples}, options, limits)
     return (found.arrays["vertices"], found.arrays["faces"]), str(found.values["status"])

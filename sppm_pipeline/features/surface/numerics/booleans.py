@@ -24,22 +24,12 @@ TOLERANCE = 1e-6
 
 
 class BooleanOutcome(NamedTuple):
-    """The result of a Boolean by manifold3d.
+    """The result of a Boolean by manifold3d."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    statuses : 3 strings
-        Of both operands and of the result; "NoError" if all is well.
-    volumes : 3 floats
-        Of both operands and of the result.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    statuses: tuple[str, str, str]
-    volumes: tuple[float, float, float]
+    vertices: NDArray[np.float64]  # (n, 3)
+    faces: NDArray[np.int32]  # (m, 3)
+    statuses: tuple[str, str, str]  # of both operands and of the result; "NoError" if all is well
+    volumes: tuple[float, float, float]  # of both operands and of the result
 
 
 def run_boolean(
@@ -69,24 +59,9 @@ def run_boolean(
 
 
 def check_solid(vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str) -> float:
-    """Refuse a mesh that does not bound a solid.
+    """Volume of a mesh, (n, 3) and (m, 3), that messages call `name`.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    name : str
-        What messages call the mesh.
-
-    Returns
-    -------
-    float
-        Its volume.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no triangle, is not closed, is wound inconsistently, or has no positive volume.
+    InputError if it has no triangle, is not closed, is wound inconsistently, or has no positive volume.
     """
     if not len(faces):
         raise InputError(f"{name} has no triangle", hint="look at the stage that made it")
@@ -108,29 +83,10 @@ def check_solid(vertices: NDArray[np.float64], faces: NDArray[np.int32], name: s
 
 
 def boolean(first: Mesh, second: Mesh, operation: str, names: tuple[str, str] = ("the first", "the second")) -> Mesh:
-    """Union, difference or intersection of two solids.
+    """Union, difference (the first without the second) or intersection of two solids that messages call `names`.
 
-    Parameters
-    ----------
-    first, second : (vertices (n, 3) float64, faces (m, 3) int32)
-        Closed, wound outwards.
-    operation : {"union", "difference", "intersection"}
-        The difference is the first without the second.
-    names : 2 strings
-        What messages call the solids.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-        Closed, wound outwards; the same bytes for the same input.
-
-    Raises
-    ------
-    InputError
-        If one of the meshes does not bound a solid.
-    DesignError
-        If nothing is left, or the result can't be right.
+    Meshes, ((n, 3), (m, 3)), are closed and wound outwards, the result too; the same bytes for the same input.
+    InputError if one does not bound a solid, DesignError if nothing is left, or the result can't be right.
     """
     volumes = [check_solid(*mesh, name) for mesh, name in zip((first, second), names, strict=True)]
     outcome = run_boolean(*first, *second, operation)

@@ -38,35 +38,20 @@ _ROOM = 2  # the buffer holds so many times what is in use, so that it is seldom
 
 
 class Window(NamedTuple):
-    """Vertices that are worked on.
+    """Vertices that are worked on."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-    places : (n,) uint8
-        On which sides of the grid a vertex lies, and along which axis it may be moved (`find_places`).
-    normals : (n, 3) float32
-    lost : (n,) float32
-        Six times the volume lost beside a vertex.
-    taken : (n,) float32
-        Twice the area of the triangles of a vertex that have another corner which can be moved.
-    rise, more, share, room : (n,) float32
-        How far to move a vertex, what its neighbors leave to it, twice the area of its triangles, and how far it may
-        be moved; before that, the square of its shortest edge.
-    notes : (n,) uint8
-        What `move` has noted of a vertex.
-    """
-
-    vertices: NDArray[np.float64]
+    vertices: NDArray[np.float64]  # (n, 3)
+    # (n,), on which sides of the grid a vertex lies, and along which axis it may be moved (`find_places`)
     places: NDArray[np.uint8]
-    normals: NDArray[np.float32]
-    rise: NDArray[np.float32]
-    more: NDArray[np.float32]
-    share: NDArray[np.float32]
-    room: NDArray[np.float32]
-    lost: NDArray[np.float32]
+    normals: NDArray[np.float32]  # (n, 3)
+    rise: NDArray[np.float32]  # (n,), how far to move a vertex
+    more: NDArray[np.float32]  # (n,), what its neighbors leave to it
+    share: NDArray[np.float32]  # (n,), twice the area of its triangles
+    room: NDArray[np.float32]  # (n,), how far it may be moved; before that, the square of its shortest edge
+    lost: NDArray[np.float32]  # (n,), six times the volume lost beside a vertex
+    # (n,), twice the area of the triangles of a vertex with another corner that can be moved
     taken: NDArray[np.float32]
-    notes: NDArray[np.uint8]
+    notes: NDArray[np.uint8]  # (n,), what `move` has noted of a vertex
 
 
 class _Piece(NamedTuple):
@@ -77,13 +62,7 @@ class _Piece(NamedTuple):
 
 
 class Bulging:
-    """Move vertices so that the volume between triangles and curved surface is made up for.
-
-    Parameters
-    ----------
-    grid : Grid
-        Vertices on its border stay.
-    """
+    """Move vertices so that the volume between triangles and curved surface is made up for; the border stays."""
 
     def __init__(self, grid: Grid) -> None:
         low = np.array(grid.origin)
@@ -93,6 +72,8 @@ class Bulging:
         self._base = self._stop = 0  # numbers of the vertices in the window
         self._pieces: deque[_Piece] = deque()  # the newest one first
         self._room: _Chosen = _NONE, _NOTHING
+        # what a piece passes on is known once the next one was seen: one set of triangles waits for each
+        # round
         self._chosen = [self._room] * PASSED_ON
 
     def push(
@@ -106,18 +87,10 @@ class Bulging:
     ) -> Iterator[NDArray[np.float64]]:
         """Take a piece; yields vertices of earlier ones that are done, to be used before the next piece comes.
 
-        Parameters
-        ----------
-        vertices : (n, 3) float64
-            Those that follow upon those of the pieces before.
-        faces : (m, 3) int32
-            With corners in this piece and the one before; negative numbers -1 - p stand for points[p], which lie on
-            rims and stay.
-        kinds : (m,) uint8
-            What faces lie on. Those of the domain stay, so that the part lies in it; without elements all may move.
-        points : (k, 3) float64
-        losers, lost : (k,) int32, (k,) float64
-            Vertices of this piece or the one before with volumes that their surroundings shall gain besides, voxels.
+        `vertices`, (n, 3), follow upon those of the pieces before. `faces`, (m, 3), have corners in this piece and the
+        one before; -1 - p stands for points[p], which lie on rims and stay. Faces of the domain by their `kinds`, (m,),
+        stay, so that the part lies in it; without elements all may move. `losers` are vertices of this piece or the one
+        before whose surroundings shall gain the volumes `lost`, in voxels.
         """
         if len(vertices) or len(faces):
             self._append(vertices, faces, kinds)

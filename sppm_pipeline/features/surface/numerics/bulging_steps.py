@@ -99,9 +99,12 @@ def move(
             has_room = asked & (space > nothing)
             moves = has_room & (free[i] != 0)
             place = (at[i] - lows[i]) / step
+            # rise over slope, with the slope bounded from below: along an edge nearly in the surface the way
+            # would be endless
             way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
             way = min(max(way, -most), most) / step
             start = place - np.floor(place)
+            # the vertex stays within its edge: the topology of marching cubes holds
             way = min(max(start + way, EDGE_MARGIN), 1.0 - EDGE_MARGIN) - start
             at[i] = at[i] + way * step if moves else at[i]
             left = space - np.float32(abs(way) * step)
@@ -127,10 +130,9 @@ def find_takers(
     chosen: NDArray[np.int32],
     areas: NDArray[np.float64],
 ) -> int:
-    """Add up the triangles that have a corner to which another one can leave something.
+    """Add up the triangles with a corner to which another one can leave something; returns how many there are.
 
-    Returns how many there are; their numbers and twice their areas go into `chosen` and `areas`, which have room for
-    all.
+    Their numbers and twice their areas go into `chosen` and `areas`, which have room for all.
     """
     n = int(np.int64(0))
     both, begin = np.uint8(_LEFT | _MOVABLE), np.uint64(base)

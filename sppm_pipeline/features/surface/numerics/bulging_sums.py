@@ -67,6 +67,7 @@ def add_normals(
             a, b, c = np.uint64(faces[f, 0]) - begin, np.uint64(faces[f, 1]) - begin, np.uint64(faces[f, 2]) - begin
             if (faces[f, 0] | faces[f, 1] | faces[f, 2]) < 0:
                 rim = f
+            # caps are flat: their normals say nothing of the curved surface beside them
             elif not places[a] & places[b] & places[c] & SIDES:  # else a cap
                 x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
                 sides[n], sides[lanes + n] = vertices[b, 0] - x, vertices[b, 1] - y

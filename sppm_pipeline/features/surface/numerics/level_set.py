@@ -26,26 +26,13 @@ STEP = 2.0**-8
 def run_level_set(
     samples: NDArray[np.float32], origin: tuple[float, float, float], spacing: float, tolerance: float | None = None
 ) -> tuple[Mesh, str]:
-    """The surface of the solid in a box, by the native library; no checks.
+    """Surface of the solid in a box, by the native library, without checks; and its status, "NoError" if all is well.
 
-    Parameters
-    ----------
-    samples : (2 nz + 1, 2 ny + 1, 2 nx + 1) float32
-        A field, negative in the solid, on the grid of half the spacing; the first and last samples lie on the box.
-    origin : 3 floats
-        Low corner of the box.
-    spacing : float
-        Edge of the cubes of the lattice.
-    tolerance : float, optional
-        How near to the zero of the interpolated field every vertex is brought; without it, it is put where linear
-        interpolation between two lattice points has the zero.
-
-    Returns
-    -------
-    (vertices (n, 3) float64, faces (m, 3) int32)
-        Closed by the box, wound outwards; no two vertices at one place.
-    status : str
-        "NoError" if all is well.
+    `samples`, (2 nz + 1, 2 ny + 1, 2 nx + 1), are a field, negative in the solid, on the grid of half the `spacing` of
+    the lattice's cubes; the first and last ones lie on the box with its low corner at `origin`. `tolerance` is how near
+    to the zero of the interpolated field every vertex is brought; without it, it is put where linear interpolation
+    between two lattice points has the zero. The mesh, (n, 3) and (m, 3), is closed by the box and wound outwards, with
+    no two vertices at one place.
     """
     import manifold3d
 
@@ -97,27 +84,16 @@ def separate_coincident_vertices(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The vertices, coincident ones moved apart, each a little towards its own neighbors.
+    """The vertices (n, 3) of a closed manifold, coincident ones moved apart, each a little towards its own neighbors.
 
     Where two tips touch, a mesh that is manifold by its indices has two vertices at one place. A file that keeps no
     indices (STL), or a reader that merges coincident vertices, makes one non-manifold vertex of them, or of two edges a
     non-manifold edge. A tip of solid is drawn back into the solid and a tip of void into the void, so that nothing
-    overlaps.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-        A closed manifold.
-    low, high : (3,) float64
-        Corners of a box. The coordinates of its faces stay where triangles lie in them; a tip that only touches a face
-        is drawn back from it.
-
-    Returns
-    -------
-    (n, 3) float64
+    overlaps. Coordinates on the faces of the box (`low`, `high`) stay where triangles lie in them; a tip that only
+    touches a face is drawn back from it.
     """
     moved = vertices.copy()
+    # until nothing coincides; bounded, as a vertex that is moved may land on another one
     for _ in range(8):
         coincident = coincident_vertices(moved)
         if not len(coincident):

@@ -33,59 +33,30 @@ _NOWHERE, _EVERYWHERE = -1, -2
 
 
 class Samples(NamedTuple):
-    """Consecutive planes of the fields that make a surface.
+    """Consecutive planes of the fields that make a surface."""
 
-    Attributes
-    ----------
-    grid : Grid
-        All planes.
-    start : int
-        Number of the first plane in the arrays.
-    field : (planes, ny, nx) float32
-        The microstructure, negative in the solid.
-    domain, skin : (planes, ny, nx) float32, or without elements
-        Distances, negative inside, in the unit of the grid.
-    crossings : Crossings
-        Of the domain with the edges between these planes.
-    """
-
-    grid: Grid
-    start: int
-    field: NDArray[np.float32]
-    domain: NDArray[np.float32]
-    skin: NDArray[np.float32]
-    crossings: Crossings = NO_CROSSINGS
+    grid: Grid  # all planes
+    start: int  # number of the first plane in the arrays
+    field: NDArray[np.float32]  # (planes, ny, nx), the microstructure, negative in the solid
+    domain: NDArray[np.float32]  # as field or empty: distance, negative inside, in the unit of the grid
+    skin: NDArray[np.float32]  # as domain
+    crossings: Crossings = NO_CROSSINGS  # of the domain with the edges between these planes
 
 
 class Placed(NamedTuple):
-    """Places of vertices.
+    """Places of vertices."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-    edge : (n,) int64
-        The grid edge, numbered as in `Crossings`; -1 for vertices of caps.
-    on : (n,) uint8
-        FIELD, DOMAIN, SKIN or BORDER.
-    triangle : (n,) int32
-        Of the domain; -1 where the vertex lies on none.
-    """
-
-    vertices: NDArray[np.float64]
-    edge: NDArray[np.int64]
-    on: NDArray[np.uint8]
-    triangle: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # (n, 3)
+    edge: NDArray[np.int64]  # (n,), the grid edge, numbered as in `Crossings`; -1 for vertices of caps
+    on: NDArray[np.uint8]  # (n,), FIELD, DOMAIN, SKIN or BORDER
+    triangle: NDArray[np.int32]  # (n,), of the domain; -1 where the vertex lies on none
 
 
 def place_vertices(vertices: NDArray[np.float64], samples: Samples) -> Placed:
-    """Move vertices of marching cubes, in place, along their grid edges to the zeros of the fields.
+    """Move vertices (n, 3) of marching cubes, in place, along their grid edges to the zeros of the fields.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        As marching cubes gives them for the field, for ``max(field, domain)``, or with a skin for
-        ``max(min(field, skin), domain)``. Those on caps at the border, or beyond the planes of the samples, stay.
-    samples : Samples
+    They are those for the field, for ``max(field, domain)``, or with a skin for ``max(min(field, skin), domain)``.
+    Those on caps at the border, or beyond the planes of the samples, stay.
     """
     n = len(vertices)
     placed = Placed(vertices, np.full(n, -1, np.int64), np.full(n, BORDER, np.uint8), np.full(n, -1, np.int32))
@@ -178,6 +149,7 @@ def _cubic_zeros(work: NDArray[np.float64], n: int) -> None:
             slope = first + t * (2.0 * second + t * (3.0 * third))
             new = t - value / slope
             new = new if slope != 0.0 else low
+            # a step of Newton that leaves the bracket is replaced by bisection, so that it always converges
             new = new if low < new and new < high else 0.5 * (low + high)
             found = value == 0.0
             new = t if found or open_ == 0.0 else new

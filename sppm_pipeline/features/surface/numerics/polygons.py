@@ -30,16 +30,9 @@ def fans_from_ends(
 ) -> int:
     """Triangles of a polygon, each with its first or last corner, of least area, none with a diagonal in a face.
 
-    Parameters
-    ----------
-    part : (length,) int64
-        Corners, as rows of `places` and of `masks` (the faces of the cube on which they lie).
-    single : bool
-        Whether all triangles shall have the first corner.
-    made : int
-        Triangles before; the number with the new ones is returned, the same if there are none such.
-    triangles : (n, 3) int64
-        Gets the new ones, as rows of `places`.
+    `part`, (length,), are corners as rows of `places` and of `masks` (the faces of the cube on which they lie). If
+    `single`, all triangles shall have the first corner. New triangles go behind the `made` ones before, as rows of
+    `places`; returned is the number of all, `made` if there are none such.
     """
     first, last = part[0], part[length - 1]
     least, best = np.inf, 0
@@ -76,7 +69,7 @@ def _volume(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float6
 
 @jit
 def crossing(triangles: NDArray[np.int64], count: int, places: NDArray[np.float64]) -> bool:
-    """Return whether a side of one of the triangles, whose corners are rows of `places`, passes through another one."""
+    """Test whether a side of one of the triangles, whose corners are rows of `places`, passes through another one."""
     for t in range(count):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         for s in range(count):
@@ -115,6 +108,7 @@ def nearest_to_all(
             for b in range(3):
                 matrix[a, b] += normals[r, a] * normals[r, b]
     for a in range(3):
+        # regularization: directions in which the planes say nothing keep the middle
         matrix[a, a] += 1e-3
     # Cramer's rule; the matrix is positive definite
     m = matrix

@@ -15,26 +15,10 @@ def marching_cubes_reference(
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Mesh:
-    """Isosurface by scikit-image; ambiguous faces are decided by the trilinear interpolant instead.
+    """Isosurface of (nz, ny, nx) samples by scikit-image: vertices (n, 3), faces (m, 3), wound outwards.
 
-    Samples equal to the level are raised to the next float32 above, where scikit-image would open edges.
-
-    Parameters
-    ----------
-    field : (nz, ny, nx) float32
-    level : float
-    origin, spacing : 3 floats, x, y, z
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-        Counter-clockwise for a viewer in the void.
-
-    Raises
-    ------
-    ResourceError
-        If scikit-image is not installed.
+    Ambiguous faces are decided by the trilinear interpolant instead. Samples equal to the level are raised to the next
+    float32 above, where scikit-image would open edges. ResourceError if scikit-image is not installed.
     """
     try:
         from skimage.measure import marching_cubes

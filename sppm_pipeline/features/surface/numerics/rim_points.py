@@ -23,31 +23,19 @@ are smooth. At half the angle facets of coarse meshes get rims of their own, at 
 
 
 class Surfaces(NamedTuple):
-    """Surfaces that meet in a part, as compiled code takes them; see `placing.Samples` and `crossings.Crossings`.
+    """Surfaces that meet in a part, as compiled code takes them; see `placing.Samples` and `crossings.Crossings`."""
 
-    Attributes
-    ----------
-    field, domain, skin : (planes, ny, nx) float32
-    origin, spacing : (3,) float64
-    shape : (4,) int64
-        Nodes along x, y, z, and the first plane of the samples.
-    crossed, shares, owners, normals
-        Edges of the grid that triangles of the domain pierce, where, which triangle, and the normals of all triangles.
-    planes : (256, 6, 3, 4) float64
-        `marching_tables.separations`.
-    """
-
-    field: NDArray[np.float32]
+    field: NDArray[np.float32]  # (planes, ny, nx), as domain and skin
     domain: NDArray[np.float32]
     skin: NDArray[np.float32]
     origin: NDArray[np.float64]
     spacing: NDArray[np.float64]
-    shape: NDArray[np.int64]
-    crossed: NDArray[np.int64]
-    shares: NDArray[np.float64]
-    owners: NDArray[np.int32]
-    normals: NDArray[np.float64]
-    planes: NDArray[np.float64]
+    shape: NDArray[np.int64]  # (4,), nodes along x, y, z, and the first plane of the samples
+    crossed: NDArray[np.int64]  # edges of the grid that triangles of the domain pierce
+    shares: NDArray[np.float64]  # where they are pierced, as fractions of the edge
+    owners: NDArray[np.int32]  # by which triangle
+    normals: NDArray[np.float64]  # of all triangles
+    planes: NDArray[np.float64]  # (256, 6, 3, 4), `marching_tables.separations`
 
 
 @jit
@@ -95,7 +83,7 @@ def edge_node(edge: int, nx: int, ny: int, node: NDArray[np.int64]) -> int:
 
 @jit
 def _solid(surfaces: Surfaces, i: int, j: int, k: int) -> bool:
-    """Return whether a node is solid, islands included."""
+    """Test whether a node is solid, islands included."""
     field, domain, skin = surfaces.field, surfaces.domain, surfaces.skin
     k -= surfaces.shape[3]
     return domain[k, j, i] < 0.0 and (field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0))
@@ -116,7 +104,7 @@ def _case_of_cube(cube: NDArray[np.int64], surfaces: Surfaces) -> int:
 
 @jit
 def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: float) -> bool:
-    """Return whether a place (p, q) in a face of the unit cube keeps apart what its `separations` (3, 4) keep apart."""
+    """Test whether a place (p, q) in a face of the unit cube keeps apart what its `separations` (3, 4) keep apart."""
     for plane in range(3):
         a, b, c = planes[plane, axis], planes[plane, (axis + 1) % 3], planes[plane, (axis + 2) % 3]
         if a * side + b * p + c * q > planes[plane, 3]:
@@ -126,7 +114,7 @@ def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: flo
 
 @jit
 def _passed_twice(corner: NDArray[np.int64], p: int, q: int, surfaces: Surfaces) -> bool:
-    """Return whether the surface crosses all four sides of the face at a node that axes p and q span."""
+    """Test whether the surface crosses all four sides of the face at a node that axes p and q span."""
     case = 0
     at = corner.copy()
     for turn in range(4):
@@ -187,9 +175,8 @@ def meeting_point(
     """The point at which the surfaces of two vertices on one face of a cube meet, and that face; -1 if they do not.
 
     Nor do they where the surface passes through the face twice, or where polygons in one of both cubes at the face
-    would not be apart with that point, by `Surfaces.planes`.
-    Faces are numbered 2 * axis + side within their cube; here the side is left out. The fourth element of `point` gets
-    the volume that belongs to the rim beyond the face, of which the mesh has none, in voxels.
+    would not be apart with that point, by `Surfaces.planes`. Faces are numbered 2 * axis + side within their cube; here
+    the side is left out. `point[3]` gets the volume beyond the face that the mesh has none of, in voxels.
     """
     point[3] = 0.0
     vertices, edge, on, triangle = placed.vertices, placed.edge, placed.on, placed.triangle
@@ -228,6 +215,7 @@ def meeting_point(
             return -1
         mp, mq, np_, nq = m[p] * spacing[p], m[q] * spacing[q], n[p] * spacing[p], n[q] * spacing[q]
         det = mp * nq - mq * np_
+        # planes that are parallel within the face do not meet in a point of it
         if abs(det) < 1e-3 * math.sqrt((mp * mp + mq * mq) * (np_ * np_ + nq * nq)):
             return -1
         first, second = mp * up + mq * uq, np_ * vp + nq * vq
@@ -303,6 +291,8 @@ def meeting_point(
                 continue
             low, high, f_low, f_high = 0.0, 1.0, at_start, at_end
             t = 0.5
+            # regula falsi with the value at the end that stays halved, as in the Illinois method: neither end
+            # gets stuck
             for _ in range(40):
                 t = low + (high - low) * f_low / (f_low - f_high)
                 value = _bicubic(patch, sp + t * (ep - sp), sq + t * (eq - sq))
@@ -323,6 +313,8 @@ def meeting_point(
     at_p = min(max(at_p, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
     at_q = min(max(at_q, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
     side = int(corner[flat] != cube[flat])
+    # both cubes at the face must keep their polygons apart, or neither takes the point: the mesh stays
+    # closed
     beyond = cube.copy()
     for _turn in range(2):
         case = _case_of_cube(beyond, surfaces)

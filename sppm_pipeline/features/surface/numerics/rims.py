@@ -35,69 +35,33 @@ _MAX_CORNERS = 48
 
 
 class Split(NamedTuple):
-    """Triangles with sharp rims.
+    """Triangles with sharp rims; numbers -1 - p in `faces` stand for points[p]."""
 
-    Attributes
-    ----------
-    faces : (m, 3) int32
-        Negative numbers -1 - p stand for points[p].
-    on : (m,) uint8
-        What each triangle lies on.
-    points : (n, 3) float64
-    keys : (n,) int64
-        Points with equal keys are one: each cube at a face has its own.
-    losers : (k,) int32
-        Vertices beside rims beyond which a volume is lost, one for each point of a cube where that is so.
-    lost : (k,) float64
-        These volumes, voxels.
-    """
-
-    faces: NDArray[np.int32]
-    on: NDArray[np.uint8]
-    points: NDArray[np.float64]
-    keys: NDArray[np.int64]
+    faces: NDArray[np.int32]  # (m, 3)
+    on: NDArray[np.uint8]  # (m,), what each triangle lies on
+    points: NDArray[np.float64]  # (n, 3)
+    keys: NDArray[np.int64]  # (n,); points with equal keys are one: each cube at a face has its own
+    # (k,), vertices beside rims beyond which a volume is lost, one for each point of a cube where that is so
     losers: NDArray[np.int32]
-    lost: NDArray[np.float64]
+    lost: NDArray[np.float64]  # (k,), these volumes, voxels
 
 
 class _Polygon(NamedTuple):
-    """A polygon with its rim points, and the triangles it is cut into; rows of scratch.
+    """A polygon with its rim points, and the triangles it is cut into; rows of scratch."""
 
-    Attributes
-    ----------
-    ids : (n,) int64
-        Vertices, or -1 - p for points[p].
-    masks : (n,) int64
-        The faces of the cube on which each corner lies, as bits 2 * axis + side.
-    places : (n, 3) float64
-    is_rim : (n,) bool
-    triangles : (n, 3) int64
-        Corners as rows of the others.
-    halves : (n,) uint8
-        What each triangle lies on.
-    """
-
-    ids: NDArray[np.int64]
-    masks: NDArray[np.int64]
-    places: NDArray[np.float64]
+    ids: NDArray[np.int64]  # (n,), vertices, or -1 - p for points[p]
+    masks: NDArray[np.int64]  # (n,), the faces of the cube on which each corner lies, as bits 2 * axis + side
+    places: NDArray[np.float64]  # (n, 3)
     is_rim: NDArray[np.bool_]
-    triangles: NDArray[np.int64]
-    halves: NDArray[np.uint8]
+    triangles: NDArray[np.int64]  # (n, 3), corners as rows of the others
+    halves: NDArray[np.uint8]  # (n,), what each triangle lies on
 
 
 def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples) -> Split:
     """Cut triangles where they pass from one surface to another.
 
-    Parameters
-    ----------
-    faces : (m, 3) int32
-        Of marching cubes, cube by cube.
-    first : int
-        Number of the vertex that is the first one in `placed`.
-    placed : Placed
-        All vertices of these faces.
-    samples : Samples
-        All planes at the cubes of these faces.
+    `faces`, (m, 3), are those of marching cubes, cube by cube; `placed` has all of their vertices, the first of them
+    numbered `first`, and `samples` all planes at their cubes.
     """
     grid, crossings = samples.grid, samples.crossings
     mixed = np.zeros(len(faces), np.bool_)
@@ -152,7 +116,7 @@ def _mixed(
     normals: NDArray[np.float64],
     mixed: NDArray[np.bool_],
 ) -> int:
-    """Mark the triangles whose corners lie on surfaces that meet at an edge, and return how many they are."""
+    """Mark the triangles whose corners lie on surfaces that meet at an edge; returns their number."""
     n = 0
     for f in range(faces.shape[0]):
         found = False
@@ -224,7 +188,7 @@ def _outline(faces: NDArray[np.int32], f: int, stop: int, starts: NDArray[np.int
 
 @jit
 def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], first: int) -> int:
-    """Cut a polygon with one or two rim points along the rim, and return the number of triangles; 0 if it can't be.
+    """Cut a polygon with one or two rim points along the rim; returns the number of triangles, 0 if it can't be.
 
     The cut is the line from one point to the other; with a single point nothing is cut.
     """
@@ -235,12 +199,14 @@ def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], 
             if one < 0:
                 one = s
             two = s
+    # two rim points on one face of the cube: a cut between them would lie in that face
     if one != two and polygon.masks[one] & polygon.masks[two]:
         return 0
     made = int(np.int64(0))
     for half in range(rims):
         s = one if half == 0 else two
         end = (one if half else two) if rims == 2 else (one + size - 1) % size
+        # the corners from one rim point to the other (or, with one rim point, once around)
         length = 0
         while True:
             part[length] = s

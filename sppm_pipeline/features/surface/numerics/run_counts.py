@@ -20,39 +20,22 @@ _ALL, _LAST = np.uint64(0xFFFFFFFFFFFFFFFF), np.int64(63)
 
 
 class Counts(NamedTuple):
-    """Counts of a mesh to come.
-
-    Attributes
-    ----------
-    vertices, faces : int
-    low, high : (3,) int64
-        First and last node of the solid along x, y, z; of no meaning without triangles.
-    """
+    """Counts of a mesh to come."""
 
     vertices: int
     faces: int
-    low: NDArray[np.int64]
-    high: NDArray[np.int64]
+    low: NDArray[np.int64]  # (3,), first node of the solid along x, y, z; of no meaning without triangles
+    high: NDArray[np.int64]  # (3,), the last one
 
 
 def count_mesh(runs: Runs, keep: NDArray[np.bool_], capped: bool, threads: int = 1) -> Counts:
     """Count the vertices and triangles that `capped_marching_cubes_slabs` makes of a solid.
 
-    Parameters
-    ----------
-    runs : Runs
-        The solid.
-    keep : (n,) bool
-        The runs that are not void.
-    capped : bool
-        Whether the surface is closed at the border of the box, at the outermost nodes of each axis; else it ends there.
-    threads : int
-
-    Returns
-    -------
-    Counts
+    Runs that `keep`, (n,) bool, marks are solid. If `capped`, the surface is closed at the outermost nodes of each
+    axis; else it ends there.
     """
     nz, ny, nx = runs.shape
+    # a cap is what marching cubes makes of a border of void
     pad = int(capped)
     size, table = np.array([nz, ny, nx], np.int64), case_tables().counts
     found: list[tuple[int, int]] = []

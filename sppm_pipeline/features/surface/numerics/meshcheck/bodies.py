@@ -13,18 +13,10 @@ from sppm_pipeline.services.mesh.measures import components
 
 
 class Shells(NamedTuple):
-    """The connected parts of a closed mesh.
+    """The connected parts of a closed mesh."""
 
-    Attributes
-    ----------
-    labels : (m,) int32
-        Shell of each triangle.
-    volumes : (n,) float64
-        Inside each shell; negative for a cavity, whose triangles look inwards.
-    """
-
-    labels: NDArray[np.int32]
-    volumes: NDArray[np.float64]
+    labels: NDArray[np.int32]  # (m,), shell of each triangle
+    volumes: NDArray[np.float64]  # (n,), inside each shell; negative for a cavity, whose triangles look inwards
 
     @property
     def bodies(self) -> int:
@@ -40,6 +32,8 @@ class Shells(NamedTuple):
 def find_shells(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shells:
     """The shells of a closed mesh, (n, 3) and (m, 3)."""
     count, labels = components(faces)
+    # volumes are taken about the middle: far from the origin tetrahedra from there would cancel to
+    # rounding
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 if len(vertices) else np.zeros(3)
     return Shells(labels, _volumes(vertices, np.ascontiguousarray(faces, np.int32), labels, middle, count))
 
@@ -47,13 +41,8 @@ def find_shells(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shel
 def largest_body(vertices: NDArray[np.float64], faces: NDArray[np.int32], shells: Shells) -> Mesh:
     """The body with the largest outer shell, with its own cavities and without whatever floats in them.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-        Closed, wound outwards, free of intersections.
-    shells : Shells
-        As `find_shells` gives them.
+    The mesh, (n, 3) and (m, 3), is closed, wound outwards and free of intersections; `shells` are those of
+    `find_shells`.
     """
     if shells.bodies == 0:
         return np.empty((0, 3)), np.empty((0, 3), np.int32)

@@ -26,53 +26,30 @@ from sppm_pipeline.services.mesh.rays import WallThickness, wall_thickness
 
 
 class MeshReport(NamedTuple):
-    """The result of `mesh_report`; lengths in the unit of the vertices.
-
-    Attributes
-    ----------
-    measures : SurfaceMeasures
-    odd_edges : int
-        Edges with an odd number of triangles; where there is none, the mesh is watertight.
-    non_manifold_vertices : int
-        Vertices with more than one fan of triangles.
-    genus : (k,) int64 or None
-        Genus of each surface that is connected across edges; None unless the mesh is closed and oriented: every edge
-        has two triangles that run against each other.
-    boundary_loops : BoundaryLoops
-    unmerged_vertices : int
-        Boundary vertices with exactly the coordinates of another one: vertices that were not merged.
-    duplicates : int
-        Triangles that name the same corners as an earlier one.
-    unused_vertices : int
-    orientation : Orientation
-    shells : Shells or None
-        None unless the mesh bounds a solid.
-    intersections : SelfIntersections
-    walls : WallThickness
-        Of the mesh as it is wound after `orientation`.
-    """
+    """The result of `mesh_report`; lengths in the unit of the vertices."""
 
     measures: SurfaceMeasures
-    odd_edges: int
-    non_manifold_vertices: int
+    odd_edges: int  # edges with an odd number of triangles; where there is none, the mesh is watertight
+    non_manifold_vertices: int  # vertices with more than one fan of triangles
+    # (k,), of each surface connected across edges; None unless closed and oriented (pairs of opposite half-edges)
     genus: NDArray[np.int64] | None
     boundary_loops: BoundaryLoops
-    unmerged_vertices: int
-    duplicates: int
+    unmerged_vertices: int  # boundary vertices with exactly the coordinates of another one
+    duplicates: int  # triangles that name the same corners as an earlier one
     unused_vertices: int
     orientation: Orientation
-    shells: Shells | None
+    shells: Shells | None  # None unless the mesh bounds a solid
     intersections: SelfIntersections
-    walls: WallThickness
+    walls: WallThickness  # of the mesh as it is wound after `orientation`
 
     @property
     def watertight(self) -> bool:
-        """Return whether no edge is left over when triangles are paired across edges."""
+        """True if no edge is left over when triangles are paired across edges."""
         return self.odd_edges == 0
 
     @property
     def manifold(self) -> bool:
-        """Return whether no edge has more than two triangles, and no vertex more than one fan of them."""
+        """True if no edge has more than two triangles, and no vertex more than one fan of them."""
         return self.measures.edges.non_manifold == 0 and self.non_manifold_vertices == 0
 
     @property
@@ -86,18 +63,12 @@ class MeshReport(NamedTuple):
 
     @property
     def outward(self) -> bool:
-        """Return whether no triangle has to be turned."""
+        """True if no triangle has to be turned."""
         return self.orientation.turned == 0 and self.orientation.one_sided == 0
 
 
 def mesh_report(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> MeshReport:
-    """Examine a mesh, (n, 3) and (m, 3).
-
-    Raises
-    ------
-    ValueError
-        If there is no triangle.
-    """
+    """Examine a mesh, (n, 3) and (m, 3); ValueError if there is no triangle."""
     points = np.asarray(vertices, np.float64)
     measures = measure_surface(points, faces)
     found = adjacency(faces)

@@ -24,33 +24,18 @@ _LEAVES_AT_ONCE = 4096
 
 
 class SelfIntersections(NamedTuple):
-    """The result of `self_intersections`.
+    """The result of `self_intersections`."""
 
-    Attributes
-    ----------
-    faces : (m,) bool
-        Triangles that meet another one beyond shared corners and edges, be it that they cross, touch or overlap.
-    pairs : int
-        Pairs of such triangles.
-    complete : bool
-        False if the search was given up.
-    """
-
-    faces: NDArray[np.bool_]
-    pairs: int
-    complete: bool
+    faces: NDArray[np.bool_]  # (m,), triangles that cross, touch or overlap another one beyond shared corners and edges
+    pairs: int  # pairs of such triangles
+    complete: bool  # False if the search was given up
 
 
 def self_intersections(tree: BoxTree, max_pairs: int = MAX_PAIRS) -> SelfIntersections:
     """Find the triangles that run into others, by exact predicates.
 
-    Flat triangles are left out. Corners with equal coordinates are one, whatever their numbers.
-
-    Parameters
-    ----------
-    tree : BoxTree
-    max_pairs : int
-        Give up after so many pairs whose boxes overlap. Ordinary meshes have about ten a triangle.
+    Flat triangles are left out. Corners with equal coordinates are one, whatever their numbers. The search is given up
+    after `max_pairs` pairs whose boxes overlap; ordinary meshes have about ten a triangle.
     """
     marked = np.zeros(len(tree.order), np.bool_)
     flat = _flat(tree.triangles)
@@ -78,7 +63,7 @@ def _flat(triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 @jit
 def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
-    """Return whether the boxes of two triangles do not even touch."""
+    """Test whether the boxes of two triangles do not even touch."""
     t, s = triangles[i], triangles[j]
     for a in range(3):
         if min(t[0, a], t[1, a], t[2, a]) > max(s[0, a], s[1, a], s[2, a]):
@@ -151,7 +136,7 @@ def _pairs(
 
 @jit
 def is_flat(t: NDArray[np.float64]) -> bool:
-    """Return whether the corners of a triangle (3, 3) lie on one line, exactly."""
+    """Test exactly whether the corners of a triangle (3, 3) lie on one line."""
     return _projection(t) < 0
 
 
@@ -167,7 +152,7 @@ def _projection(t: NDArray[np.float64]) -> int:
 
 @jit
 def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[np.float64]) -> bool:
-    """Return whether segment pq, in the plane of triangle t, meets it."""
+    """Test whether segment pq, in the plane of triangle t, meets it."""
     axis = _projection(t)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     p_low, p_high, q_low, q_high = 1, -1, 1, -1
@@ -190,7 +175,7 @@ def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[n
 def _segment_meets(
     p: NDArray[np.float64], q: NDArray[np.float64], of_p: int, of_q: int, t: NDArray[np.float64]
 ) -> bool:
-    """Return whether segment pq meets triangle t; given are the sides of its plane on which p and q lie."""
+    """Test whether segment pq meets triangle t; given are the sides of its plane on which p and q lie."""
     if of_p * of_q > 0:
         return False
     if of_p == 0 and of_q == 0:
@@ -206,7 +191,7 @@ def _segment_meets(
 
 @jit
 def triangles_meet(t: NDArray[np.float64], s: NDArray[np.float64]) -> bool:
-    """Return whether two triangles (3, 3), neither of them flat, meet beyond the corners they share.
+    """Test whether two triangles (3, 3), neither of them flat, meet beyond the corners they share.
 
     Corners are shared if their coordinates are equal. Triangles that share all three lie on each other: they meet.
     """
@@ -217,6 +202,7 @@ def triangles_meet(t: NDArray[np.float64], s: NDArray[np.float64]) -> bool:
             if t[i, 0] == s[j, 0] and t[i, 1] == s[j, 1] and t[i, 2] == s[j, 2]:
                 of_t[i], of_s[j] = j, i
                 shared += 1
+    # the same corners: they lie on each other
     if shared == 3:
         return True
     sides_s, sides_t = np.zeros(3, np.int64), np.zeros(3, np.int64)
@@ -234,6 +220,7 @@ def triangles_meet(t: NDArray[np.float64], s: NDArray[np.float64]) -> bool:
             low, high = min(low, side), max(high, side)
         if low > 0 or high < 0:
             return False
+    # with a shared edge: they overlap only in one plane, with both third corners on one side of the edge
     if shared == 2:
         i, j = 0, 0
         while of_t[i] >= 0:

@@ -13,11 +13,7 @@ _NO_RIMS = np.empty((0, 3))
 class StreamedMeasures:
     """`box_and_volume` and `balanced_edges` of a mesh that comes in pieces, to the bit.
 
-    Parameters
-    ----------
-    scale : float
-    origin : (3,) float64
-        Points on rims are taken times the scale and moved by the origin; vertices come so.
+    Vertices come scaled and moved; points on rims are taken times the scale and moved by the origin here.
     """
 
     def __init__(self, scale: float, origin: NDArray[np.float64]) -> None:
@@ -27,15 +23,9 @@ class StreamedMeasures:
         self._found, self._balance = nothing_found(), 0
 
     def add(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], rims: NDArray[np.float64]) -> None:
-        """Take the next piece.
+        """Take the next piece: vertices (n, 3) that follow upon those before, faces (m, 3), points on rims (k, 3).
 
-        Parameters
-        ----------
-        vertices : (n, 3) float64
-            Those that follow upon those of the pieces before.
-        faces : (m, 3) int32
-            With corners in this piece and the one before; negative numbers -1 - p stand for rims[p].
-        rims : (k, 3) float64
+        Corners lie in this piece and the one before; negative numbers -1 - p stand for rims[p].
         """
         both = np.concatenate([self._before, vertices])
         self.add_window(both, self._base, faces, rims)
@@ -57,11 +47,12 @@ class StreamedMeasures:
             numbered = read_only(faces)
             given = read_only(both), base, numbered, read_only(rims), self._scale, self._origin
             add_sums(*given, self._start, self._found)
+            # a sum of hashes of the edges with their directions, modulo the word it is kept in
             self._balance = (self._balance + int(edge_balance(numbered))) % 2**64
 
     @property
     def balanced(self) -> bool:
-        """Return whether every edge runs as often in one direction as in the other; not without triangles."""
+        """True if every edge runs as often in one direction as in the other; False without triangles."""
         return self._start is not None and self._balance == 0
 
     @property
