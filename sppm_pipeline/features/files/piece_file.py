@@ -24,23 +24,13 @@ _READ_AT_ONCE = 2**20  # bytes
 
 
 class PieceFile:
-    """Takes the pieces of a mesh (`fields.mesh_stream.PieceTaker`), and is a file in the end.
+    """Takes the pieces of a mesh (`mesh_pieces.PieceTaker`), and is a file in the end.
 
-    Until then it lies in a folder for temporary files. What comes in front in the file is hashed as it comes. What
+    Until then it lies in a `folder` for temporary files. What comes in front in the file is hashed as it comes. What
     comes behind is written to its place, if that is known, and hashed at the end; or triangles wait in a nameless file.
-
-    Parameters
-    ----------
-    folder : Path
-    in_pieces : function
-        Of the numbers of vertices and triangles, and bounds of the largest coordinate: see `formats.ply.in_pieces`.
-    threads : int
-        With more than one, a piece is written while the next one is made; the bytes do not depend on it.
-
-    Attributes
-    ----------
-    whole : bool
-        Whether the file is finished.
+    `in_pieces` is called with the numbers of vertices and triangles, and bounds of the largest coordinate: see
+    `ply.in_pieces`. With more than one thread, a piece is written while the next one is made; the bytes do not depend
+    on it.
     """
 
     def __init__(
@@ -88,6 +78,7 @@ class PieceFile:
         front = self._pieces.front(points, known, corners)
         parts = [(self._file, self._size, front)]
         if self._spool is not None:
+            # numbers within a small piece fit 16 bits, which halves what waits on the disk
             kind = "<u2" if len(points) <= 2**16 else "<i4"
             self._spooled.append((base, len(faces), kind))
             parts.append((self._spool, -1, corners.astype(kind).reshape(-1).view(np.uint8).data))

@@ -29,27 +29,17 @@ class Placed(NamedTuple):
 def packed(
     sizes: Sequence[tuple[int, int]], gap: tuple[int, int], room: tuple[int, int] | None
 ) -> tuple[list[tuple[int, int]], tuple[int, int]] | None:
-    """Rectangles in rows, the deepest first: a shelf packing, about as wide as deep.
+    """Low corners of rectangles in rows, the deepest first, and the extent of all; None if they do not fit.
 
-    Parameters
-    ----------
-    sizes : sequence of (int, int)
-        Extent of each along x and y, at least 1.
-    gap : (int, int)
-        Free pixels between neighbors.
-    room : (int, int) or None
-        Extent that they must not exceed; None if there is no bound.
-
-    Returns
-    -------
-    (list of (int, int), (int, int)) or None
-        Low corner of each, and the extent of all; None if they do not fit.
+    A shelf packing, about as wide as deep. `sizes` are extents along x and y, at least 1; `gap` the free pixels between
+    neighbors; `room` the extent not to be exceeded, if there is a bound.
     """
     widest = max(x for x, _ in sizes)
     everything = sum(x + gap[0] for x, _ in sizes)
     most = everything if room is None else min(everything, room[0])
     balanced = math.ceil(math.sqrt(sum((x + gap[0]) * (y + gap[1]) for x, y in sizes)))
     start = min(max(widest, balanced), most)
+    # widths from that of a square up to all there is; the first that fits is taken
     for width in dict.fromkeys([start + (most - start) * k // 16 for k in range(17)]):
         if widest > width:
             continue
@@ -82,24 +72,12 @@ def tag(words: str, pixel_mm: tuple[float, float]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlateSlices(SliceStack):
-    """Several stacks of one pitch side by side.
+    """Several stacks of one pitch side by side."""
 
-    Attributes
-    ----------
-    parts : tuple of SliceStack
-        Each is read once, however many copies there are.
-    places : tuple of Placed
-        Where copies of them stand; they do not overlap.
-    extent : (int, int)
-        Pixels of the plate along x and y.
-    tags : tuple of (tag, x, y)
-        Tags and the pixels of their low corners.
-    """
-
-    parts: tuple[SliceStack, ...]
-    places: tuple[Placed, ...]
-    extent: tuple[int, int]
-    tags: tuple[tuple[NDArray[np.uint8], int, int], ...] = ()
+    parts: tuple[SliceStack, ...]  # each is read once, however many copies there are
+    places: tuple[Placed, ...]  # of copies of them, which do not overlap
+    extent: tuple[int, int]  # pixels of the plate along x and y
+    tags: tuple[tuple[NDArray[np.uint8], int, int], ...] = ()  # tags and the pixels x, y of their low corners
 
     @property
     def pixel_mm(self) -> tuple[float, float]:

@@ -38,14 +38,8 @@ def marked_sheet(
 ) -> NDArray[np.uint8]:
     """Marked layers side by side, with what is wrong with each below it, and the meaning of the colors above.
 
-    Parameters
-    ----------
-    layers : sequence of (int, (ny, nx) uint8)
-        Number and codes.
-    pixel : (float, float)
-        Pitch along x and y; the pictures are shown in its ratio.
-    columns : mapping of str to (n,) array
-        The curves of the report, whose areas are shown.
+    `layers` are numbers and codes (ny, nx), shown in the ratio of the pitches `pixel` along x and y; `columns` the
+    curves of the report, (n,) each, whose areas are shown.
     """
     from PIL import Image, ImageDraw  # only pictures with text need Pillow
 
@@ -108,14 +102,8 @@ def orientations_sheet(
 ) -> NDArray[np.uint8]:
     """Orientations side by side, the best first, seen from the front, with turn, score and costs below each.
 
-    Parameters
-    ----------
-    rows : sequence of mappings
-        ``turn``, ``score``, ``supports_mm2``, ``cups_mm2``, ``height_mm``, ``pareto``.
-    views : sequence of (nz, nx) float64
-        Depth from 0 to 1, lowest layer first; NaN where nothing is.
-    voxel : float
-        Edge of a voxel, mm.
+    `rows` have ``turn``, ``score``, ``supports_mm2``, ``cups_mm2``, ``height_mm``, ``pareto``; `views`, (nz, nx), are
+    depths from 0 to 1, lowest layer first, NaN where nothing is; `voxel` is an edge, mm.
     """
     trimmed = [view[~np.isnan(view).all(1)] for view in views]
     side = max(max(view.shape) for view in trimmed)

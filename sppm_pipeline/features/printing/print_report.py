@@ -17,24 +17,12 @@ from sppm_pipeline.errors import ConfigError
 
 
 class Measure(NamedTuple):
-    """A number of the report that a rule may refuse.
+    """A number of the report that a rule may refuse."""
 
-    Attributes
-    ----------
-    number : str
-        Its name in `PrintReport.numbers`.
-    unit : str
-        Empty for a ratio or count.
-    text : str
-        What it is, as the message of a refused print says it.
-    sign : {">", "<"}
-        On which side of a threshold it is refused.
-    """
-
-    number: str
-    unit: str
-    text: str
-    sign: str = ">"
+    number: str  # its name in `PrintReport.numbers`
+    unit: str  # empty for a ratio or count
+    text: str  # its name in the message of a refused print
+    sign: str = ">"  # ">" or "<", on which side of a threshold it is refused
 
 
 MEASURES: Mapping[str, Measure] = {
@@ -73,12 +61,7 @@ class Rule(NamedTuple):
 
 
 def parse_rule(text: str, measures: Mapping[str, Measure] = MEASURES) -> Rule:
-    """Read ``trap`` or ``cup > 100 mm2``; `measures` are what it may name.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Read ``trap`` or ``cup > 100 mm2``; `measures` are what it may name. ConfigError if it is no such rule."""
     match = _RULE.fullmatch(text)
     name = match[1] if match else ""
     if match is None or name not in measures:
@@ -106,23 +89,15 @@ def parse_rule(text: str, measures: Mapping[str, Measure] = MEASURES) -> Rule:
 class PrintReport:
     """Results of a check of a stack of layers.
 
-    Attributes
-    ----------
-    numbers : mapping of str
-        The measures that the terminal, the run record and `fail` know; None where there is nothing to measure.
-    events : mapping of str to list of dict
-        ``traps``, ``cups`` and ``islands``, the largest first: layers, volume, largest section, place; and ``throats``,
-        by diameter.
-    layers : mapping of str to (n,) array
-        A column for each curve.
-    settings : mapping of str
-        Pitch, limits and assumptions.
+    `numbers` are the measures that the terminal, the run record and `fail` know; None where there is nothing to
+    measure. `events` are ``traps``, ``cups`` and ``islands``, the largest first, with layers, volume, largest section
+    and place; and ``throats``, by diameter.
     """
 
     numbers: Mapping[str, Any]
     events: Mapping[str, Sequence[Mapping[str, Any]]]
-    layers: Mapping[str, NDArray[Any]]
-    settings: Mapping[str, Any]
+    layers: Mapping[str, NDArray[Any]]  # a column (n,) for each curve
+    settings: Mapping[str, Any]  # pitch, limits and assumptions
 
     @property
     def verdict(self) -> str:

@@ -39,20 +39,7 @@ class Place(NamedTuple):
 
 
 def placed(image: NDArray[np.uint8], printer: Printer) -> tuple[NDArray[np.uint8], Place]:
-    """A layer in the middle of the display, turned and mirrored as the printer exposes it.
-
-    Parameters
-    ----------
-    image : (ny, nx) uint8
-        As `LayerWriter.encode` takes it: the first row is the side of largest y.
-    printer : Printer
-
-    Returns
-    -------
-    block : (h, w) uint8
-        A view of the layer.
-    place : Place
-    """
+    """A layer (ny, nx), as `LayerWriter.encode` takes it, in the middle of the display, turned as it is exposed."""
     (width, height), (rows, columns) = printer.pixels, image.shape
     left, top = (width - columns) // 2, height - rows - (height - rows) // 2
     if printer.portrait:  # turned by 90 degrees: the largest x comes first, then the largest y
@@ -67,30 +54,15 @@ def placed(image: NDArray[np.uint8], printer: Printer) -> tuple[NDArray[np.uint8
 
 @dataclass(frozen=True)
 class Job:
-    """All that a printer's file says beside its layers, and what follows from it.
+    """All that a printer's file says beside its layers, and what follows from it."""
 
-    Attributes
-    ----------
-    name : str
-        Of the job: the name of the file without its extension.
-    printer : Printer
-    resin_name : str
-    resin : Resin
-    layers : int
-    layer_mm : float
-    gray : bool
-        Whether pixels have values between black and white.
-    volume_mm3 : float
-        Solid volume.
-    """
-
-    name: str
+    name: str  # of the job: the name of the file without its extension
     printer: Printer
     resin: Resin
     layers: int
     layer_mm: float
-    gray: bool
-    volume_mm3: float
+    gray: bool  # whether pixels have values between black and white
+    volume_mm3: float  # solid volume
 
     def exposure_s(self, layer: int) -> float:
         """Exposure of a layer, counted from 0."""

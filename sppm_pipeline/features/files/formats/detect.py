@@ -38,10 +38,7 @@ _OBJ_WORDS = {b"v", b"vn", b"vt", b"vp", b"f", b"l", b"o", b"g", b"s", b"mtllib"
 def format_of_name(name: str) -> str:
     """The format that the extension of a file name stands for, in lower case.
 
-    Raises
-    ------
-    InputError
-        If the extension is none of `FORMATS`, and trimesh does not read it on this machine either.
+    InputError if it is none of `FORMATS`, and trimesh does not read it on this machine either.
     """
     extension = PurePath(name).suffix[1:].lower()
     if extension == "gltf":
@@ -90,52 +87,22 @@ def sniff(data: bytes | memoryview | bytearray) -> str | None:
 
 
 class MeshFile(NamedTuple):
-    """The contents of a mesh file.
+    """The contents of a mesh file."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-        In the unit and with the axes of the file.
-    faces : (m, 3) int64
-    unit : str or None
-        The unit that the file or its format states; None for the formats that have none.
-    mm : float
-        That unit in millimeters; 1 if there is none.
-    up : str
-        The axis that points up by the format's specification, ``y`` for GLB; else ``z``, as in printing.
-    groups : tuple of (str, int, int)
-        Named stretches of the triangles, as far as the format has them (OBJ, 3MF, ASCII STL).
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    unit: str | None
-    mm: float
-    up: str
-    groups: Groups = ()
+    vertices: NDArray[np.float64]  # (n, 3), in the unit and with the axes of the file
+    faces: NDArray[np.int64]  # (m, 3)
+    unit: str | None  # that the file or its format states; None for the formats that have none
+    mm: float  # that unit in millimeters; 1 if there is none
+    up: str  # the axis that points up by the format's specification, "y" for GLB; else "z", as in printing
+    groups: Groups = ()  # named stretches of the triangles, as far as the format has them (OBJ, 3MF, ASCII STL)
 
 
 def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
-    """Read a mesh in the format that the extension of `name` stands for.
+    """Read a mesh in the format that the extension of `name` stands for: vertices (n, 3), faces (m, 3) int64.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        In millimeters where the file states a unit (3MF, GLB), else the numbers of the file.
-    faces : (m, 3) int64
-
-    Raises
-    ------
-    InputError
-        If the extension is unknown, the content is of another format, or it is broken, with the line, byte or part of
-        what is wrong.
+    `data` is the content of the file, which messages call `name`. Vertices are in millimeters where the file states a
+    unit (3MF, GLB), else the numbers of the file. InputError if the extension is unknown, the content is of another
+    format, or it is broken, with the line, byte or part of what is wrong.
     """
     mesh = decode_mesh_file(data, name)
     with np.errstate(over="ignore"):
@@ -146,18 +113,13 @@ def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
 
 
 def decode_mesh_file(data: bytes | memoryview | bytearray, name: str) -> MeshFile:
-    """`decode_mesh` with the numbers as they stand in the file, and what they mean.
-
-    Raises
-    ------
-    InputError
-        If the extension is unknown, the content is of another format, or it is broken.
-    """
+    """`decode_mesh` with the numbers as they stand in the file, and what they mean; raises the same."""
     expected = format_of_name(name)
     require_content(data, name)
     if bytes(data[:3]) == _BYTE_ORDER_MARK:
         data = memoryview(data)[3:]
         require_content(data, name)
+    # the extension decides, but a file that is something else by its content is a mistake to be named
     found = sniff(data)
     if expected not in FORMATS:
         (vertices, faces), unit, mm = decode_other(data, name, expected)

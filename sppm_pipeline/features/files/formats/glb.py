@@ -31,9 +31,8 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """Read the scene of a file as one mesh, in meters and with y up, as it stands there.
 
     Vertices are split in such files where a texture or an edge needs it; those of equal position are merged in a mesh
-    that is not closed as it is, the first one being kept.
-
-    See `detect.decode_mesh` for what all readers take, return and raise.
+    that is not closed as it is, the first one being kept. See `detect.decode_mesh` for what all readers take, return
+    and raise.
     """
     require_content(data, name)
     text, binary = _chunks(memoryview(data).cast("B"), name)
@@ -120,6 +119,7 @@ def _nodes(document: Entry) -> list[tuple[Entry, Matrix]]:
         number, outer = waiting.pop()
         if number >= len(nodes):
             document.fail(f"there is no node {number}; the file has {len(nodes)}")
+        # nodes form a forest: a second visit means two parents or a circle, which would never end
         if number in seen:
             nodes[number].fail("it has two parents, or is inside itself")
         seen.add(number)

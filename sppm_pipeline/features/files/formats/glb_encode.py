@@ -29,24 +29,10 @@ def encode(
 ) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) in millimeters with z up and (m, 3), piece by piece. Same mesh, same bytes.
 
-    Positions are turned, y up, and stored as float32 meters, as the specification requires.
-
-    Parameters
-    ----------
-    vertices, faces : arrays
-    threads : int
-        The bytes do not depend on them.
-    normals : bool
-        Whether each vertex gets a normal, the mean of its triangles' normals by area, so that viewers shade smoothly.
-    name : str
-        What the mesh is called.
-    offsets : (k, 3) float, mm, optional
-        The mesh is written once and placed by k nodes; once where it is, if omitted.
-
-    Raises
-    ------
-    DesignError
-        If the file would have 4 GiB or more, or a coordinate is beyond float32.
+    Positions are turned, y up, and stored as float32 meters, as the specification requires. With `normals` each vertex
+    gets one, the mean of its triangles' normals by area, so that viewers shade smoothly. With `offsets`, (k, 3) in mm,
+    the mesh is written once and placed by k nodes. DesignError if the file would have 4 GiB or more, or a coordinate is
+    beyond float32.
     """
     mesh = as_written(vertices, faces)
     within_float32(mesh, "GLB")

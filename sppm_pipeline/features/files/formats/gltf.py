@@ -22,13 +22,8 @@ _LARGEST, _MAX_VALUES = 2**24, 2**20
 
 
 def read_document(text: bytes, name: str) -> Entry:
-    """Read the JSON part of a file.
-
-    Raises
-    ------
-    InputError
-        If it is no JSON object, or a very large one.
-    """
+    """Read the JSON part of a file; InputError if it is no JSON object, or a very large one."""
+    # bounds the objects that the parser makes, each of which takes far more memory than its text
     values = text.count(b",") + text.count(b"[") + text.count(b"{")
     if len(text) > _LARGEST or values > _MAX_VALUES:
         raise InputError(
@@ -54,16 +49,7 @@ def _no_number(word: str) -> NoReturn:
 
 
 class Entry:
-    """An object of the document, which knows where it stands.
-
-    Parameters
-    ----------
-    values : dict
-    name : str
-        How to call the file in messages.
-    where : str
-        ``accessor 3``; empty for the document itself.
-    """
+    """An object of the document, which knows where it stands: ``accessor 3``, or "" for the document itself."""
 
     def __init__(self, values: dict[str, Any], name: str, where: str) -> None:
         self._values = values
@@ -155,19 +141,8 @@ def _finite(number: int | float) -> bool:
 def read_meshes(document: Entry, binary: memoryview, meshes: Sequence[Entry], name: str) -> list[DecodedMesh]:
     """All surfaces of each mesh, equal positions merged unless it is closed without.
 
-    Parameters
-    ----------
-    document : Entry
-    binary : memoryview
-        The binary part of the file, perhaps empty.
-    meshes : sequence of Entry
-    name : str
-        How to call the file in messages.
-
-    Raises
-    ------
-    InputError
-        If values leave their view, are not finite, or name a vertex that does not exist.
+    `binary` is the binary part of the file, perhaps empty. InputError if values leave their view, are not finite, or
+    name a vertex that does not exist.
     """
     tables = _Tables(document, binary)
     made = []
@@ -188,13 +163,7 @@ def read_meshes(document: Entry, binary: memoryview, meshes: Sequence[Entry], na
 
 
 class _Tables:
-    """The accessors of a document.
-
-    Parameters
-    ----------
-    document : Entry
-    binary : memoryview
-    """
+    """The accessors of a document, and the binary part that they look into."""
 
     def __init__(self, document: Entry, binary: memoryview) -> None:
         self._accessors = document.entries("accessors")

@@ -42,19 +42,9 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
 def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, str, float, Groups]:
     """Read what a file says is to be built: all items, with their components and transformations, as one mesh.
 
-    Objects that are supports are left out.
-
-    See `detect.decode_mesh` for what all readers take and raise.
-
-    Returns
-    -------
-    mesh : ((n, 3) float64, (m, 3) int64)
-    unit : str
-        ``millimeter``, ``inch``...
-    mm : float
-        The unit in millimeters.
-    groups : Groups
-        The triangles of each copy of an object that has a name.
+    Objects that are supports are left out. Returned are the mesh ((n, 3), (m, 3)), its unit (``millimeter``,
+    ``inch``...), that unit in millimeters, and the triangles of each copy of an object that has a name. See
+    `detect.decode_mesh` for what all readers take and raise.
     """
     require_content(data, name)
     package = _Package(Archive(data, name), name)
@@ -129,6 +119,8 @@ class _Package:
             if key not in self._sizes:
                 if depth > _DEEPEST:
                     raise InputError(f"{self._name}: components are nested more than {_DEEPEST} deep")
+                # each object is counted once, however often it is used: nested components could stand for more than
+                # fits anywhere
                 self._sizes[key] = None  # being counted
                 size = self.count(own, entry.components, depth + 1)
                 own_size = (len(entry.mesh[0]), len(entry.mesh[1])) if entry.mesh is not None else (0, 0)

@@ -40,24 +40,10 @@ def encode(
 ) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) in millimeters and (m, 3), piece by piece, as the core specification requires.
 
-    Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes.
-
-    Parameters
-    ----------
-    vertices, faces : arrays
-    threads : int
-        They share the packing; the bytes do not depend on them.
-    name : str
-        What the object is called.
-    metadata : mapping of str to str, optional
-        ``Title``, ``Description``, ``Application`` and other names that the core specification knows.
-    offsets : (k, 3) float, mm, optional
-        The mesh is written once and placed by k components; once where it is, if omitted.
-
-    Raises
-    ------
-    DesignError
-        If the file would have 4 GiB or more.
+    Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes, however many
+    `threads` share the packing. `name` is that of the object; `metadata` are ``Title``, ``Description``,
+    ``Application`` and other names that the core specification knows. With `offsets`, (k, 3) in mm, the mesh is written
+    once and placed by k components. DesignError if the file would have 4 GiB or more.
     """
     mesh = as_written(vertices, faces)
     scale = decimal_scale(mesh.largest)

@@ -60,19 +60,11 @@ _INTEGER = re.compile(r"\s*\d{1,18}\s*", re.ASCII)
 
 
 class Use(NamedTuple):
-    """An object as a component of another one, or as an item to be built.
+    """An object as a component of another one, or as an item to be built."""
 
-    Attributes
-    ----------
-    part : str or None
-        The model part that holds the object; None for the part that says so.
-    identifier : int
-    matrix : (3, 4) float64
-    """
-
-    part: str | None
+    part: str | None  # the model part that holds the object; None for the part that says so
     identifier: int
-    matrix: Matrix
+    matrix: Matrix  # (3, 4)
 
 
 class Object(NamedTuple):
@@ -100,13 +92,7 @@ _SLACK, _PER_ELEMENT = 16 * 2**20, 256
 
 
 class XmlReader:
-    """Base of readers of XML parts: `start` and `end` are called with names ``URI local``.
-
-    Parameters
-    ----------
-    name, part : str
-        How to call the file and the part in messages.
-    """
+    """Base of readers of XML parts: `start` and `end` get names ``URI local``; messages name file and part."""
 
     def __init__(self, name: str, part: str) -> None:
         self._name = name
@@ -129,13 +115,7 @@ class XmlReader:
         """An element ends."""
 
     def feed(self, chunks: Iterable[bytes]) -> None:
-        """Read a part.
-
-        Raises
-        ------
-        InputError
-            With the part and the line of what is wrong.
-        """
+        """Read a part; InputError with the part and the line of what is wrong."""
         try:
             for chunk in self._counted(chunks):
                 self._parser.Parse(chunk, False)
@@ -174,13 +154,7 @@ class XmlReader:
 
 
 def read_model(chunks: Iterable[bytes], name: str, part: str) -> Model:
-    """Read a model part.
-
-    Raises
-    ------
-    InputError
-        With the part and the line of what is wrong.
-    """
+    """Read a model part; InputError with the part and the line of what is wrong."""
     reader = _ModelReader(name, part)
     reader.feed(chunks)
     return reader.model()

@@ -33,20 +33,10 @@ def others() -> set[str]:
 
 
 def decode_other(data: bytes | memoryview | bytearray, name: str, kind: str) -> tuple[DecodedMesh, str | None, float]:
-    """Read a mesh in another format, DAE or STEP for instance, as one mesh.
+    """Read a mesh in another format, DAE or STEP for instance, as one mesh: ((n, 3), (m, 3)), its unit, and that in mm.
 
-    Returns
-    -------
-    mesh : ((n, 3) float64, (m, 3) int64)
-    unit : str or None
-        The unit that the file states, if trimesh knows it.
-    mm : float
-        That unit in millimeters; 1 if there is none.
-
-    Raises
-    ------
-    InputError
-        If the file is larger than `MAX_BYTES`, or trimesh fails.
+    The unit is None, and 1 mm, if trimesh knows of none. InputError if the file is larger than `MAX_BYTES`, or trimesh
+    fails.
     """
     if len(data) > MAX_BYTES:
         raise InputError(

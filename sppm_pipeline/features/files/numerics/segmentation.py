@@ -22,28 +22,10 @@ def labels_of(values: NDArray[Any]) -> NDArray[Any] | None:
 
 
 def otsu(values: NDArray[Any], bins: int = 1024) -> float:
-    """The threshold that makes the two classes of gray values as different as possible.
+    """The threshold that makes the two classes of gray values as different as possible; itself in the upper one.
 
-    Parameters
-    ----------
-    values : array of any shape
-        Finite.
-    bins : int
-        Of the histogram.
-
-    Returns
-    -------
-    float
-        Values from here on belong to the upper class.
-
-    Raises
-    ------
-    ValueError
-        If all values are equal.
-
-    References
-    ----------
-    Otsu 1979, "A threshold selection method from gray-level histograms".
+    `bins` are those of the histogram. ValueError if all values, which are finite, are equal. Otsu 1979, "A threshold
+    selection method from gray-level histograms".
     """
     low, high = float(values.min()), float(values.max())
     if not high > low:

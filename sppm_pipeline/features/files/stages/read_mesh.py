@@ -210,13 +210,7 @@ def _sides(extent: NDArray[np.float64]) -> str:
 def _box(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Low and high corner of the triangles.
-
-    Raises
-    ------
-    InputError
-        If the part is flat, or of a size that no part has.
-    """
+    """Low and high corner of the triangles; InputError if the part is flat, or of a size that no part has."""
     from sppm_pipeline.services.mesh.measures import bounds
 
     lower, upper = bounds(vertices, faces)

@@ -118,7 +118,7 @@ class WriteMesh(Stage):
 
     @property
     def _placed(self) -> bool:
-        """Return whether the file holds the mesh of copies once."""
+        """True if the file holds the mesh of copies once."""
         return extension_of(self.path) == ".glb" or self.copies == "components"
 
     def _labels(self, mesh_name: str) -> dict[str, Any]:

@@ -56,13 +56,7 @@ _LAYER = "H15fH2sI"
 
 
 def header(values: Mapping[str, object], little_endian: bool = False) -> bytes:
-    """The header, `HEADER_BYTES` long; entries without a value are 0.
-
-    Raises
-    ------
-    KeyError
-        If a value belongs to no entry.
-    """
+    """The header, `HEADER_BYTES` long; entries without a value are 0. KeyError if a value belongs to no entry."""
     if unknown := values.keys() - dict(HEADER).keys():
         raise KeyError(f"a GOO header has no {sorted(unknown)}")
     known = {**_FIXED, **values}
@@ -85,43 +79,21 @@ def layer_record(
     *, pause_mm: float, top_mm: float, exposure: float, waits: tuple[float, float, float],
     lift: tuple[float, float], retract: tuple[float, float], length: int, little_endian: bool = False,
 ) -> bytes:  # fmt: skip
-    """Header of the data of a layer.
+    """Header of the data of a layer: heights in mm, times in s, speeds in mm a minute, `length` in bytes.
 
-    Parameters
-    ----------
-    pause_mm : float
-        Height of the plate in a pause; there is none.
-    top_mm : float
-        Height of the upper side of the layer.
-    exposure : float
-        Seconds.
-    waits : three floats
-        Seconds before the lift, after the lift, and after the plate has come back.
-    lift, retract : pairs of floats
-        Way (mm) and speed (mm a minute).
-    length : int
-        Bytes of `encode_layer`.
+    `pause_mm` is the height of the plate in a pause, of which there is none; `top_mm` that of the upper side of the
+    layer. `waits` are before the lift, after it, and after the plate has come back; `lift` and `retract` are way and
+    speed.
     """
     numbers = (pause_mm, top_mm, exposure, 0.0, *waits, *lift, 0.0, 0.0, *retract, 0.0, 0.0)
     return struct.pack(("<" if little_endian else ">") + _LAYER, 0, *numbers, 255, DELIMITER, length)
 
 
 def encode_layer(block: NDArray[np.uint8], top: int, left: int, height: int, width: int) -> bytes:
-    """A layer: 0x55, the runs of a whole picture, and the check sum.
+    """A layer: 0x55, the runs of a whole picture (height, width), and the check sum.
 
-    Parameters
-    ----------
-    block : (h, w) uint8
-        Pixels that may be other than black.
-    top, left : int
-        Place of its first pixel in the picture.
-    height, width : int
-        Size of the picture.
-
-    Raises
-    ------
-    ValueError
-        If the block does not lie within the picture.
+    `block`, (h, w), are the pixels that may be other than black, the first at row `top` and column `left`; ValueError
+    if they do not lie within the picture.
     """
     rows, columns = block.shape
     if not (0 <= top <= height - rows and 0 <= left <= width - columns):
@@ -183,6 +155,7 @@ def _runs(
             grown = np.empty(2 * out.size + room, np.uint8)
             grown[:n] = out[:n]
             out = grown
+        # black on the left ends a run of another gray; a black run goes on from the row before
         if gray != 0 and left > 0:
             n = _put(out, n, gray, length)
             gray, length, same = 0, 0, np.uint64(0)

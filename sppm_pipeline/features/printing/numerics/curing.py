@@ -24,16 +24,14 @@ IGNORED_DOSE = 1e-3
 class CureThrough:
     """Layers as they cure; `add` those that are exposed, then `finish`.
 
-    Parameters
-    ----------
-    shape : (nx, ny)
-    layer, penetration, cure_depth : float
-        Layer height, D_p and C_d, in one unit.
+    `shape` is (nx, ny); layer height, penetration D_p and cure depth C_d are in one unit.
     """
 
     def __init__(self, shape: tuple[int, int], layer: float, penetration: float, cure_depth: float) -> None:
         self._q = np.float32(math.exp(-layer / penetration))
+        # a dose that reaches the critical one up to rounding of float32 cures
         self._critical = np.float32(math.exp(-cure_depth / penetration) * (1 - 1e-6))
+        # layers from which on the geometric series of doses is below IGNORED_DOSE of the critical one
         ahead = (cure_depth + penetration * math.log(1 / (IGNORED_DOSE * (1 - float(self._q))))) / layer
         self._ahead = max(1, math.ceil(ahead))
         self._ring: deque[NDArray[np.uint8]] = deque()

@@ -11,14 +11,9 @@ from sppm_pipeline.services.jit.compiled import jit
 class Depth:
     """The longest way out of what is open; take in layers by `add`, then ask `longest`.
 
-    A block is open if any of its voxels is, which keeps passages that are thinner than a block. Ways go along the axes,
-    from block to block across faces, and end where the image does, on all six sides.
-
-    Parameters
-    ----------
-    shape : (nx, ny)
-    block : int
-        Voxels along the edge of a block.
+    A block, of `block` voxels along its edge, is open if any of its voxels is, which keeps passages that are thinner
+    than a block. Ways go along the axes, from block to block across faces, and end where the image does, on all six
+    sides. `shape` is (nx, ny).
     """
 
     def __init__(self, shape: tuple[int, int], block: int) -> None:
@@ -61,6 +56,8 @@ def _farthest(open_: NDArray[np.uint8]) -> int:
             front[n] = i
             n += 1
             flat[i] = 0
+    # breadth-first search from all of the border at once: front[first:last] are the blocks of one
+    # distance
     steps = first = 0
     while True:
         last = n

@@ -21,15 +21,9 @@ _SLACK = 1.0 + 1e-5  # float32 squares that equal a bound up to rounding count a
 
 
 class StreamedDistance:
-    """Squared distance of each voxel to the nearest marked one; exact up to a reach, infinite beyond.
+    """Squared distance of each voxel to the nearest marked one; exact up to `reach`, infinite beyond.
 
-    Parameters
-    ----------
-    shape : (nx, ny)
-    pitch : (float, float, float)
-        Of the voxels along x, y, z.
-    reach : float
-        In the same unit.
+    `shape` is (nx, ny), `pitch` that of the voxels along x, y, z in the unit of `reach`.
     """
 
     def __init__(self, shape: tuple[int, int], pitch: tuple[float, float, float], reach: float) -> None:
@@ -62,6 +56,7 @@ class StreamedDistance:
             if 0 < abs(i - self._before) <= self._reach[2]:
                 _lower(out.ravel(), plane.ravel(), h2 * np.float32((i - self._before) ** 2))
         out[out > self._cap] = UNREACHED
+        # the lowest layer of a full ring is too far from the next one to be finished
         if self._before == self._reach[2]:
             self._ring.popleft()
         else:
@@ -70,13 +65,9 @@ class StreamedDistance:
 
 
 class Coarsened:
-    """Layers with voxels larger by whole factors: solid where at least half of the voxels inside are.
+    """Layers with voxels larger by whole factors along x, y, z: solid where at least half of the voxels inside are.
 
-    Parameters
-    ----------
-    shape : (nx, ny)
-    factors : (int, int, int)
-        Along x, y, z. Incomplete blocks at the far ends are filled up with void.
+    `shape` is (nx, ny). Incomplete blocks at the far ends are filled up with void.
     """
 
     def __init__(self, shape: tuple[int, int], factors: tuple[int, int, int]) -> None:

@@ -42,18 +42,10 @@ QUARTER_TURN = 0.85
 
 
 class Features(NamedTuple):
-    """Features of a mesh that drains keep away from.
+    """Features of a mesh that drains keep away from."""
 
-    Attributes
-    ----------
-    edges : (k, 3, 3) float64
-        Sharp edges, as triangles without an area.
-    holes : (n, 3, 3) float64
-        Triangles of concave cylinders and cones.
-    """
-
-    edges: NDArray[np.float64]
-    holes: NDArray[np.float64]
+    edges: NDArray[np.float64]  # (k, 3, 3), sharp edges, as triangles without an area
+    holes: NDArray[np.float64]  # (n, 3, 3), triangles of concave cylinders and cones
 
 
 def mesh_features(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Features:
@@ -104,33 +96,19 @@ def mesh_features(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Fe
 
 
 class Candidates(NamedTuple):
-    """Points at which drains may open.
+    """Points at which drains may open."""
 
-    Attributes
-    ----------
-    points, inwards : (n, 3) float64
-        The points, mm, and the unit normals into the part.
-    radius, clear : float
-        Of the drains, and from their rims to what they keep away from, mm.
-    floor : float
-        Height of the build plate.
-    mouths_off, all_off : (k, 3, 3) float64
-        Triangles that the mouths of drains keep away from: sharp edges; and those that all of a drain does.
-    zone : ((n, 3, 3) float64, float) or None
-        Triangles that are to be kept out of, and how far.
-    """
-
-    points: NDArray[np.float64]
-    inwards: NDArray[np.float64]
-    radius: float
-    clear: float
-    floor: float
-    mouths_off: NDArray[np.float64]
-    all_off: NDArray[np.float64]
-    zone: tuple[NDArray[np.float64], float] | None
+    points: NDArray[np.float64]  # (n, 3), mm
+    inwards: NDArray[np.float64]  # (n, 3), unit normals into the part
+    radius: float  # of the drains, mm
+    clear: float  # from their rims to what they keep away from, mm
+    floor: float  # height of the build plate
+    mouths_off: NDArray[np.float64]  # (k, 3, 3), triangles that the mouths of drains keep away from: sharp edges
+    all_off: NDArray[np.float64]  # (k, 3, 3), triangles that all of a drain keeps away from
+    zone: tuple[NDArray[np.float64], float] | None  # triangles (n, 3, 3) that are to be kept out of, and how far, mm
 
     def keeps_clear(self, capsule: NDArray[np.float64]) -> bool:
-        """Return whether all of a capsule (7,), from within the part to its mouth, is as far off as it should be."""
+        """Test whether all of a capsule (7,), from within the part to its mouth, is as far off as it should be."""
         a, b, reach = capsule[:3], capsule[3:6], self.radius + self.clear
         along = (b - a) / np.linalg.norm(b - a)
         # a round rim in a slanted face is lower than its middle
@@ -149,14 +127,8 @@ def drain_candidates(
 ) -> Candidates:
     """The points of a part's surface where a round hole stays away from edges, holes, plate and zone.
 
-    Parameters
-    ----------
-    domain : SurfaceMesh
-        Wound outwards.
-    radius, clear : float
-        Of the hole, and from its rim, mm.
-    zone : ((n, 3, 3) float64, float), optional
-        Triangles to keep out of, and how far from its rim.
+    The mesh is wound outwards; `radius` is that of the hole, `clear` from its rim, mm; `zone` are triangles (n, 3, 3)
+    to keep out of, and how far from its rim.
     """
     outer = domain.outer_surface
     triangles = domain.vertices[domain.faces] if outer is None else outer.triangles
@@ -186,23 +158,10 @@ def borings(
 ) -> NDArray[np.float64]:
     """Capsules (n, 7) that lead from candidates straight into a trap, by rising length within solid plus costs.
 
-    Parameters
-    ----------
-    candidates : Candidates
-    traps : Traps
-    label : int
-        That of the trap.
-    depths : (nz, ny, nx) float32
-        Distance from the surface of the part, mm, positive inside.
-    world : Grid
-        mm.
-    costs : (n,) float64
-        Further costs of each candidate, mm.
-
-    Notes
-    -----
-    Along the axis the surface must be no nearer than the mouth, or than the radius and `clear`, so that no hole runs
-    along below a face or ends before another; and outside the way must be free for a diameter.
+    `depths`, (nz, ny, nx), is the distance from the surface of the part, positive inside, and `costs`, (n,), further
+    costs of each candidate, both in mm. Along the axis the surface must be no nearer than the mouth, or than the radius
+    and `clear`, so that no hole runs along below a face or ends before another; and outside the way must be free for a
+    diameter.
     """
     h, radius, clear = world.spacing[0], candidates.radius, candidates.clear
     steps = np.arange(-2 * radius - h, float(np.linalg.norm(world.shape)) * h / 2, h / 2)

@@ -108,6 +108,7 @@ def convex_hull(runs: Runs) -> NDArray[np.float64]:
     rows = np.flatnonzero(np.diff(runs.rows))
     low = runs.bounds[2 * runs.rows[rows]]
     high = runs.bounds[2 * runs.rows[rows + 1] - 1]
+    # only the first and last pixel of a row can be on the hull; pixels count by their corners
     x = np.concatenate([low, low, high, high])
     y = np.concatenate([rows, rows + 1, rows, rows + 1])
     points = np.unique(np.stack([x, y], 1), axis=0).tolist()  # by x, then by y

@@ -16,19 +16,10 @@ UNREACHED = np.int32(2**30)
 def squared_distance(
     phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
 ) -> NDArray[np.int32]:
-    """For each voxel of a phase the squared distance to the nearest voxel outside of it, in voxels, center to center.
+    """Squared distance of each voxel of a phase (nz, ny, nx) to the nearest voxel outside, in voxels, center to center.
 
-    Parameters
-    ----------
-    phase : (nz, ny, nx) uint8
-        1 in the phase.
-    periodic : tuple of 3 bools
-        Whether opposite sides along x, y, z are neighbors; otherwise nothing is known to lie beyond a side.
-
-    Returns
-    -------
-    (nz, ny, nx) int32
-        0 outside the phase; `UNREACHED` everywhere if there is no outside.
+    `periodic` says along x, y, z whether opposite sides are neighbors; otherwise nothing is known to lie beyond a side.
+    0 outside the phase; `UNREACHED` everywhere if there is no outside.
     """
     squared = np.where(phase != 0, UNREACHED, np.int32(0))
     # along one axis after the other, the nearest in a plane follows from the nearest in its rows
@@ -69,45 +60,24 @@ def _along_rows(lines: NDArray[np.int32], wraps: bool) -> None:
 
 
 class SizeDistribution(NamedTuple):
-    """Volume-weighted distribution of local thickness.
-
-    Attributes
-    ----------
-    mean, deviation, smallest, largest : float
-    quantiles : tuple of 3 floats
-        At 10, 50 and 90 % of the volume.
-    """
+    """Volume-weighted distribution of local thickness."""
 
     mean: float
     deviation: float
     smallest: float
     largest: float
-    quantiles: tuple[float, float, float]
+    quantiles: tuple[float, float, float]  # at 10, 50 and 90 % of the volume
 
 
 def local_thickness(
     phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
 ) -> NDArray[np.float32]:
-    """Diameter of the largest ball inside the phase that covers each voxel, in voxels.
+    """Diameter of the largest ball inside the phase (nz, ny, nx) that covers each voxel, in voxels; 0 outside of it.
 
     Balls have their centers at voxel centers and reach to half way between the last voxel of the phase and the first
-    one outside; so a plate of w voxels has the thickness w where w is odd, w - 1 where it is even.
-
-    Parameters
-    ----------
-    phase : (nz, ny, nx) uint8
-        1 in the phase.
-    periodic : tuple of 3 bools
-        See `squared_distance`.
-
-    Returns
-    -------
-    (nz, ny, nx) float32
-        0 outside the phase. If there is no outside, the shortest side of the image everywhere.
-
-    References
-    ----------
-    Hildebrand and Rüegsegger 1997, "A new method for the model-independent assessment of thickness".
+    one outside; so a plate of w voxels has the thickness w where w is odd, w - 1 where it is even. If there is no
+    outside, it is the shortest side of the image everywhere. Hildebrand and Rüegsegger 1997, "A new method for the
+    model-independent assessment of thickness".
     """
     squared = squared_distance(phase, periodic)
     if squared.size and squared.max() >= UNREACHED:
@@ -121,15 +91,7 @@ def local_thickness(
 
 
 def size_distribution(thickness: NDArray[np.float32], spacing: float) -> SizeDistribution | None:
-    """Moments and quantiles of a local thickness; None if the phase is empty.
-
-    Parameters
-    ----------
-    thickness : array
-        In voxels, 0 outside the phase.
-    spacing : float
-        Edge of a voxel; the result has its unit.
-    """
+    """Moments and quantiles of a local thickness in voxels, times the spacing; None if the phase (above 0) is empty."""
     sizes = np.sort(thickness[thickness > 0].astype(np.float64)) * spacing
     if not len(sizes):
         return None

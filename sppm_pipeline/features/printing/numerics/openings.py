@@ -27,36 +27,19 @@ def _squared_room(diameter: float, pitch: tuple[float, float, float]) -> float:
 
 
 class ThroatLevel(NamedTuple):
-    """Void with room for a ball of a diameter.
-
-    Attributes
-    ----------
-    diameter : float
-    room : int
-        Voxels in which the ball has its center, the space around the part included.
-    undrained : int
-        Those from which it cannot be moved out.
-    """
+    """Void with room for a ball of a diameter."""
 
     diameter: float
-    room: int
-    undrained: int
+    room: int  # voxels in which the ball has its center, the space around the part included
+    undrained: int  # those from which it cannot be moved out
 
 
 class Throats:
     """Void that does not drain through throats of several diameters; take in layers by `add`, then `finish`.
 
-    A ball that leaves reaches the border of the image, the top, or the plate side: it is what drains after the
-    part was taken off the plate.
-
-    Parameters
-    ----------
-    shape : (nx, ny)
-    pitch : (float, float, float)
-    diameters : sequence of float
-        In the unit of `pitch`.
-    depth : (float, Depth), optional
-        Takes in where a ball of one of the diameters has room.
+    A ball that leaves reaches the border of the image, the top, or the plate side: it is what drains after the part was
+    taken off the plate. `shape` is (nx, ny), `diameters` are in the unit of `pitch`; `depth`, a diameter and what takes
+    in where its ball has room, is optional.
     """
 
     def __init__(
@@ -99,15 +82,8 @@ class Throats:
 class ThinFeatures:
     """Part of a phase that no ball of a diameter covers: features thinner than it, to within a voxel, and sharp edges.
 
-    The phase minus its morphological opening. Take in the layers of the phase by `add`, then `finish`.
-
-    Parameters
-    ----------
-    shape : (nx, ny)
-    pitch : (float, float, float)
-    diameter : float
-    outside : bool
-        Whether the phase goes on beyond the image, as void does.
+    The phase minus its morphological opening. Take in the layers of the phase by `add`, then `finish`. `shape` is (nx,
+    ny); `outside` says that the phase goes on beyond the image, as void does.
     """
 
     def __init__(
@@ -116,6 +92,7 @@ class ThinFeatures:
         self._bound = np.float32(_squared_room(diameter, pitch))
         reach = (diameter + sum(pitch) / 3) / 2
         self._outside = np.uint8(outside)
+        # a border of one voxel stands for what lies beyond the image
         padded = (shape[0] + 2, shape[1] + 2)
         self._to_rest = StreamedDistance(padded, pitch, reach)
         self._to_core = StreamedDistance(padded, pitch, reach)

@@ -16,26 +16,13 @@ GOLDEN = (1 + math.sqrt(5)) / 2
 
 
 class Score(NamedTuple):
-    """Costs of a body in one orientation; lengths in voxels.
+    """Costs of a body in one orientation; lengths in voxels."""
 
-    Attributes
-    ----------
-    supports : int
-        Area of what hangs farther than a voxel beyond the layer below, summed over the layers.
-    cups : int
-        Largest area in a layer of void that is closed while that layer is printed.
-    height : int
-        Layers from the first to the last that hold solid.
-    area : int
-        Largest area of a layer.
-    view : (nz, nx) float64
-        Depth at which the body is met along y, as a fraction of its box, lowest layer first; NaN where it is not.
-    """
-
-    supports: int
-    cups: int
-    height: int
-    area: int
+    supports: int  # area of what hangs farther than a voxel beyond the layer below, summed over the layers
+    cups: int  # largest area in a layer of void that is closed while that layer is printed
+    height: int  # layers from the first to the last that hold solid
+    area: int  # largest area of a layer
+    # (nz, nx), depth at which it is met along y, over its box, lowest layer first; NaN where it is not
     view: NDArray[np.float64]
 
 
@@ -67,17 +54,9 @@ def score_turned(
     plate: Literal["sealed", "supports"],
     reach: float = 1.0,
 ) -> Score:
-    """Turn a body by nearest voxels and scan its layers.
+    """Turn a body of cubic voxels (nz, ny, nx), which holds some, by nearest voxels and scan its layers.
 
-    Parameters
-    ----------
-    solid : (nz, ny, nx) uint8
-        Cubic voxels, 1 where solid is; holds some.
-    turn : (float, float, float)
-        As for `rotation`.
-    plate : {"sealed", "supports"}
-    reach : float
-        Voxels that a layer may hang beyond the one below. Both as for `PrintScan`.
+    `turn` is as for `rotation`; `plate` and `reach`, in voxels, are as for `PrintScan`.
     """
     matrix = rotation(turn)
     low = np.array([np.flatnonzero(solid.any(axes))[0] for axes in ((0, 1), (0, 2), (1, 2))], float)
@@ -85,6 +64,7 @@ def score_turned(
     half = np.abs(matrix) @ (high - low) / 2
     nx, ny, nz = (int(n) + 2 for n in np.ceil(2 * half - 1e-6))  # a margin of void, which is ambient
     middle, center = (low + high) / 2, np.array([nx, ny, nz]) / 2
+    # each voxel of the result looks up where it came from, so that no gaps open
     back = np.ascontiguousarray(matrix.T)
     scan = PrintScan((nx, ny, nz), (1.0, 1.0), reach, plate, pictures=0)
     layer = np.empty((ny, nx), np.uint8)

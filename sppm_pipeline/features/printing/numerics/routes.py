@@ -14,18 +14,10 @@ AMBIENT = 1
 
 
 class Traps(NamedTuple):
-    """Void that opens nowhere, the largest component first.
+    """Void that opens nowhere, the largest component first."""
 
-    Attributes
-    ----------
-    labels : (nz, ny, nx) int32
-        0 in solid, `AMBIENT`, and 2, 3, ... in the traps.
-    sizes : (n,) int64
-        Voxels of each trap.
-    """
-
-    labels: NDArray[np.int32]
-    sizes: NDArray[np.int64]
+    labels: NDArray[np.int32]  # (nz, ny, nx): 0 in solid, `AMBIENT`, and 2, 3, ... in the traps
+    sizes: NDArray[np.int64]  # (n,), voxels of each trap
 
 
 def find_traps(solid: NDArray[np.uint8]) -> Traps:
@@ -39,24 +31,12 @@ def find_traps(solid: NDArray[np.uint8]) -> Traps:
 
 
 class SmallVoids(NamedTuple):
-    """Void that opens nowhere and is small enough to be filled.
+    """Void that opens nowhere and is small enough to be filled."""
 
-    Attributes
-    ----------
-    sizes : (n,) int64
-        Voxels of each, the largest first.
-    places : (n, 3) int32
-        The first voxel of each, z, y, x.
-    runs : (m, 4) int32
-        z, y, first x and last x of their runs.
-    left : (k,) int64
-        Voxels of the closed voids that are larger, the largest first.
-    """
-
-    sizes: NDArray[np.int64]
-    places: NDArray[np.int32]
-    runs: NDArray[np.int32]
-    left: NDArray[np.int64]
+    sizes: NDArray[np.int64]  # (n,), voxels of each, the largest first
+    places: NDArray[np.int32]  # (n, 3), the first voxel of each, z, y, x
+    runs: NDArray[np.int32]  # (m, 4), z, y, first x and last x of their runs
+    left: NDArray[np.int64]  # (k,), voxels of the closed voids that are larger, the largest first
 
 
 def find_small_voids(solid: NDArray[np.uint8], largest: float) -> SmallVoids:

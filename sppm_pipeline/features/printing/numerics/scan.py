@@ -32,31 +32,18 @@ CURVES = (
 class Scan(NamedTuple):
     """Results of a pass over all layers; lengths are in pixels and layers.
 
-    Attributes
-    ----------
-    ground : int
-        First layer that holds solid; the number of layers if none does.
-    curves : dict of str to (layers,) int64
-        By the names of `CURVES`: pixels of solid; of void that is a cup in this half-stack; of solid
-        not yet connected to the plate; of these, the ones in components that begin here; of overhang; two-dimensional
-        components of solid, pixels of the largest, and edges along x and y of its outline.
-    islands, cups : Events
-        Of solid and of void.
-    center : (3,) float64
-        Center of mass (x, y, z), counted from the low corner of the stack; NaN without solid.
-    foot : (n, 2) float64
-        Convex hull of the first layer that holds solid.
-    worst : list of (int, (ny, nx) uint8)
-        Layers with codes from `VOID` to `TRAP`, by their number.
+    The curves, (layers,) each by the names of `CURVES`, are pixels of solid; of void that is a cup in this half-stack;
+    of solid not yet connected to the plate; of these, the ones in components that begin here; of overhang;
+    two-dimensional components of solid, pixels of the largest, and edges along x and y of its outline.
     """
 
-    ground: int
+    ground: int  # first layer that holds solid; the number of layers if none does
     curves: dict[str, NDArray[np.int64]]
-    islands: Events
-    cups: Events
-    center: NDArray[np.float64]
-    foot: NDArray[np.float64]
-    worst: list[tuple[int, NDArray[np.uint8]]]
+    islands: Events  # of solid
+    cups: Events  # of void
+    center: NDArray[np.float64]  # (3,), of mass (x, y, z), counted from the low corner of the stack; NaN without solid
+    foot: NDArray[np.float64]  # (n, 2), convex hull of the first layer that holds solid
+    worst: list[tuple[int, NDArray[np.uint8]]]  # layers (ny, nx) with codes from `VOID` to `TRAP`, by their number
 
 
 @dataclass
@@ -88,6 +75,7 @@ class _Remembered:
         over = np.zeros_like(codes)
         paint_runs(self.overhang.rows, self.overhang.bounds, np.ones(self.overhang.n_runs, np.int32), over)
         codes[(over > 0) & (codes == SOLID)] = OVERHANG
+        # `fate` is known only now: whether a cup of that layer was vented later, or stayed a trap
         void = complement(self.solid)
         code = np.select([self.fate == _AMBIENT, self.fate == _TRAPPED], [VOID, TRAP], CUP).astype(np.int32)
         shut = np.zeros_like(codes)
@@ -99,18 +87,9 @@ class _Remembered:
 class PrintScan:
     """Take in the layers of a print one by one with `add`, then ask for what was found with `finish`.
 
-    Parameters
-    ----------
-    shape : (nx, ny, nz)
-        Pixels and layers.
-    pixel : (float, float)
-        Pitch along x and y.
-    overhang : float
-        Distance up to which solid is held by the solid of the layer below, in the unit of `pixel`.
-    plate : {"sealed", "supports"}
-        Whether the build plate closes the void from below.
-    pictures : int
-        Maximum number of layers to paint.
+    `shape` is (nx, ny, nz), `pixel` the pitch along x and y, `overhang` the distance up to which solid is held by the
+    solid of the layer below, in the same unit. With `plate` "sealed" the build plate closes the void from below. At
+    most `pictures` layers are painted.
     """
 
     def __init__(

@@ -30,81 +30,36 @@ _COLUMNS = 8
 
 
 class LayerCount(NamedTuple):
-    """A phase in one layer.
+    """A phase in one layer."""
 
-    Attributes
-    ----------
-    area : int
-        Pixels of the phase.
-    loose : int
-        Of these, in components of the half-stack that are not grounded.
-    born : int
-        Of these, in components that begin in this layer.
-    components : int
-        Two-dimensional components of the layer.
-    largest : int
-        Pixels of the largest of them.
-    edges_x, edges_y : int
-        Edges of pixels between the phase and the rest, along x and along y; the border of the image counts.
-    """
-
-    area: int
-    loose: int
-    born: int
-    components: int
-    largest: int
-    edges_x: int
-    edges_y: int
+    area: int  # pixels of the phase
+    loose: int  # of these, in components of the half-stack that are not grounded
+    born: int  # of these, in components that begin in this layer
+    components: int  # two-dimensional components of the layer
+    largest: int  # pixels of the largest of them
+    edges_x: int  # edges of pixels between the phase and the rest along x; the border of the image counts
+    edges_y: int  # the same along y
 
 
 class Events(NamedTuple):
-    """Components that were not grounded for some layers, the largest first.
+    """Components that were not grounded for some layers, the largest first."""
 
-    Attributes
-    ----------
-    kind : (n,) int64
-        `JOINED`, `NEVER`, `AT_PLATE` or `AT_END`.
-    birth, end : (n,) int64
-        First layer, and the first layer in which it is not there on its own any more.
-    volume, section : (n,) int64
-        Voxels before `end`, and pixels of the largest section.
-    place : (n, 3) int64
-        A voxel (layer, y, x) of the largest section, in the middle of its longest run.
-    counts, totals : (4,) int64
-        Number and voxels of all events by kind, listed or not.
-    """
-
-    kind: NDArray[np.int64]
-    birth: NDArray[np.int64]
-    end: NDArray[np.int64]
-    volume: NDArray[np.int64]
-    section: NDArray[np.int64]
-    place: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    totals: NDArray[np.int64]
+    kind: NDArray[np.int64]  # (n,): `JOINED`, `NEVER`, `AT_PLATE` or `AT_END`
+    birth: NDArray[np.int64]  # (n,), first layer
+    end: NDArray[np.int64]  # (n,), the first layer in which it is not there on its own any more
+    volume: NDArray[np.int64]  # (n,), voxels before `end`
+    section: NDArray[np.int64]  # (n,), pixels of the largest section
+    place: NDArray[np.int64]  # (n, 3), a voxel (layer, y, x) of the largest section, in the middle of its longest run
+    counts: NDArray[np.int64]  # (4,), number of all events by kind, listed or not
+    totals: NDArray[np.int64]  # (4,), voxels of all events by kind
 
 
 class Tracker:
     """Components of one phase in every half-stack; call `add` for each layer from the lowest, then `finish`.
 
     Solid is grounded by the first layer that holds any. Void is grounded by the border of the image, and by the layer
-    below the first solid one if that is open, as with a part that stands on supports. Layers below the first solid one
-    hold nothing.
-
-    Parameters
-    ----------
-    phase : {"solid", "void"}
-    plate : {"sealed", "supports"}
-        Whether the build plate closes the void from below.
-
-    Attributes
-    ----------
-    of_run : (n,) int32
-        Open component of each run of the last layer.
-    grounded : (m,) bool
-        Which open components are.
-    successor : (m before the last layer,) int32
-        Open component that each former one became; -1 if it is complete.
+    below the first solid one if that is open, as with a part that stands on `supports`; a `sealed` plate closes it.
+    Layers below the first solid one hold nothing.
     """
 
     def __init__(self, phase: Literal["solid", "void"], plate: Literal["sealed", "supports"] = "sealed") -> None:
@@ -112,7 +67,9 @@ class Tracker:
         self._open_below = self._void and plate == "supports"
         self._below: Runs | None = None
         self._table = np.zeros((0, _COLUMNS), np.int64)
+        # open component of each run of the last layer, (n,)
         self.of_run = np.zeros(0, np.int32)
+        # open component that each one before the last layer became, (m,); -1 if it is complete
         self.successor = np.zeros(0, np.int32)
         self._events = [np.zeros((0, 2 + _COLUMNS), np.int64)]
         self._waiting = 0
