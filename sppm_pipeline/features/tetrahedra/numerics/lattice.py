@@ -25,30 +25,17 @@ CORNERS_OF_CUBE = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in
 class Crossings(NamedTuple):
     """The edges of the lattice that the surface crosses, and which of them meet in a point.
 
-    On a periodic box a point and its copies on opposite faces are one, its *representative* the one on the low side;
-    an edge in a high face is left out for its copy.
-
-    Attributes
-    ----------
-    ends : (e, 2, 3) int32
-        Where the edges begin and end in the doubled grid, x, y, z; both in the box.
-    slots : (e, 2) int32
-        The two points as numbers from 0 of all points at such edges.
-    points : (s,) int64
-        Index of each point, as its representative, in the raveled doubled grid; ascending.
-    starts : (s + 1,) int64
-        Where the edges of each point begin in `incident`.
-    incident : (2 e,) int64
-        Edges by point, ascending at each.
-    slot_of : (2 nz + 1, 2 ny + 1, 2 nx + 1) int32
-        Number of the point; -1 for those at no such edge, and for copies.
+    On a periodic box a point and its copies on opposite faces are one, its *representative* the one on the low side; an
+    edge in a high face is left out for its copy.
     """
 
-    ends: NDArray[np.int32]
-    slots: NDArray[np.int32]
+    ends: NDArray[np.int32]  # (e, 2, 3), where the edges begin and end in the doubled grid, x, y, z; both in the box
+    slots: NDArray[np.int32]  # (e, 2), the two points as numbers from 0 of all points at such edges
+    # (s,), index of each point, as its representative, in the raveled doubled grid; ascending
     points: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    incident: NDArray[np.int64]
+    starts: NDArray[np.int64]  # (s + 1,), where the edges of each point begin in `incident`
+    incident: NDArray[np.int64]  # (2 e,), edges by point, ascending at each
+    # (2 nz + 1, 2 ny + 1, 2 nx + 1), number of the point; -1 for those at no such edge, and for copies
     slot_of: NDArray[np.int32]
 
 
@@ -58,23 +45,12 @@ def doubled_grid(
     faces: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     periodic: bool,
 ) -> NDArray[np.float32]:
-    """Samples at the points of the lattice, laid into the doubled grid.
+    """Samples at the points of the lattice, laid into the doubled grid (2 nz + 1, 2 ny + 1, 2 nx + 1).
 
-    Parameters
-    ----------
-    corners : (nz + 1, ny + 1, nx + 1) float32
-        The field at the corners of the cubes.
-    centers : (nz, ny, nx) float32
-        At their centers.
-    faces : (nz, ny, 2), (nz, 2, nx), (2, ny, nx) float32
-        At the centers of the squares in the low and the high face of the box, across x, y, z.
-    periodic : bool
-        Whether the box repeats: samples in the high faces are then replaced by those in the low ones.
-
-    Returns
-    -------
-    (2 nz + 1, 2 ny + 1, 2 nx + 1) float32
-        1 where there is no point of the lattice. NaN counts as void.
+    `corners`, (nz + 1, ny + 1, nx + 1), and `centers`, (nz, ny, nx), are those of the cubes; `faces`, (nz, ny, 2), (nz,
+    2, nx), (2, ny, nx), lie at the centers of the squares in the low and the high face of the box, across x, y, z. If
+    the box is periodic, samples in the high faces are replaced by those in the low ones. 1 where there is no point of
+    the lattice; NaN counts as void.
     """
     nz, ny, nx = centers.shape
     grid = np.ones((2 * nz + 1, 2 * ny + 1, 2 * nx + 1), np.float32)
@@ -99,15 +75,8 @@ def repeat_low_faces(grid: NDArray[np.generic]) -> None:
 
 
 def find_crossings(values: NDArray[np.float32], periodic: bool) -> Crossings:
-    """The edges of the lattice between a negative and a positive sample.
-
-    Parameters
-    ----------
-    values : (2 nz + 1, 2 ny + 1, 2 nx + 1) float32
-        Samples as `doubled_grid` lays them.
-    periodic : bool
-        Whether opposite faces are one.
-    """
+    """The edges of the lattice between a negative and a positive sample, as `doubled_grid` lays them."""
+    # counted first, so that the memory is exactly that of the edges
     count = _crossing_edges(values, periodic, np.empty((0, 2, 3), np.int32), False)
     ends = np.empty((count, 2, 3), np.int32)
     _crossing_edges(values, periodic, ends, True)

@@ -26,18 +26,11 @@ _SLIVER = 1e-12
 
 
 class FacePair(NamedTuple):
-    """The triangles of a mesh on two opposite faces of its box.
-
-    Attributes
-    ----------
-    axis : int
-    low, high : (a, 3 or 6) int64
-        Nodes of the triangles, corners first, mid-edge nodes on 01, 12, 20.
-    """
+    """The triangles of a mesh on two opposite faces of its box."""
 
     axis: int
-    low: NDArray[np.int64]
-    high: NDArray[np.int64]
+    low: NDArray[np.int64]  # (a, 3 or 6), nodes of the triangles, corners first, mid-edge nodes on 01, 12, 20
+    high: NDArray[np.int64]  # the same
 
 
 def face_pairs(
@@ -61,19 +54,11 @@ def face_pairs(
 
 
 def mortar(nodes: NDArray[np.float64], pair: FacePair) -> Any:
-    """Constraints ``integral of phi (u_high - u_low) = 0`` for every shape function phi of the high face.
+    """Constraints ``integral of phi (u_high - u_low) = 0`` for every shape function phi of the high face, csr (c, n).
 
-    Both sides are integrated over the overlap of the two triangulations, exactly.
-
-    Returns
-    -------
-    scipy.sparse.csr_matrix, (c, n)
-        One row for each node of the high face that overlaps the low one.
-
-    References
-    ----------
-    Bernardi, Maday and Patera 1994; for periodic cells Reis and Andrade Pires 2014, "A mortar based approach for the
-    enforcement of periodic boundary conditions on arbitrarily generated meshes".
+    Both sides are integrated over the overlap of the two triangulations, exactly. One row for each node of the high
+    face that overlaps the low one. Bernardi, Maday and Patera 1994; for periodic cells Reis and Andrade Pires 2014, "A
+    mortar based approach for the enforcement of periodic boundary conditions on arbitrarily generated meshes".
     """
     from scipy.sparse import coo_matrix
 
@@ -229,6 +214,7 @@ def _overlaps(
             polygon[i, 0], polygon[i, 1] = b[i, 0], b[i, 1]
         turn = (a[1, 0] - a[0, 0]) * (a[2, 1] - a[0, 1]) - (a[1, 1] - a[0, 1]) * (a[2, 0] - a[0, 0])
         sense = 1.0 if turn > 0 else -1.0
+        # Sutherland and Hodgman's clipping (1974); a triangle cut by three lines has at most six corners
         for side in range(3):  # the polygon is cut by one side of the other triangle after the other
             x0, y0 = a[side, 0], a[side, 1]
             dx, dy = a[(side + 1) % 3, 0] - x0, a[(side + 1) % 3, 1] - y0

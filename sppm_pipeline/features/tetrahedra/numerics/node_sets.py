@@ -17,14 +17,11 @@ _MID_NODE = {frozenset(ends): 4 + place for place, ends in enumerate(EDGES.tolis
 
 
 def box_node_sets(nodes: NDArray[np.floating], box: NDArray[np.floating]) -> dict[str, NDArray[np.int64]]:
-    """Nodes on the boundary of a box.
+    """Nodes on the boundary of a box: name to ascending numbers of nodes.
 
-    Returns
-    -------
-    dict of name to ascending numbers of nodes
-        ``XMIN`` ... ``ZMAX``: the faces with their edges and corners. ``XMIN_INNER`` ...: without them.
-        ``YMIN_ZMIN`` ...: the twelve edges without their corners. ``XMIN_YMIN_ZMIN`` ...: the eight corners. The last
-        three kinds share no node.
+    ``XMIN`` ... ``ZMAX``: the faces with their edges and corners. ``XMIN_INNER`` ...: without them. ``YMIN_ZMIN`` ...:
+    the twelve edges without their corners. ``XMIN_YMIN_ZMIN`` ...: the eight corners. The last three kinds share no
+    node.
     """
     low, high = on_faces(nodes, box)
     side = dict(zip(SIDES, np.stack([low, high], axis=2).reshape(len(nodes), 6).T, strict=True))
@@ -42,12 +39,10 @@ def box_node_sets(nodes: NDArray[np.floating], box: NDArray[np.floating]) -> dic
 def boundary_surfaces(
     nodes: NDArray[np.floating], cells: NDArray[np.integer], box: NDArray[np.floating]
 ) -> dict[str, NDArray[np.int64]]:
-    """The triangles of the boundary: those in the six faces of a box, and ``SURFACE``, the rest.
+    """The triangles of the boundary by name: those in the six faces of a box, and ``SURFACE``, the rest.
 
-    Returns
-    -------
-    dict of name to (k, 3) integers, or (k, 6) for quadratic cells
-        Corners counterclockwise for a viewer outside, then the nodes on the edges 01, 12, 20.
+    (k, 3), or (k, 6) for quadratic cells: corners counterclockwise for a viewer outside, then nodes on the edges 01,
+    12, 20.
     """
     cell, corner = np.nonzero(face_neighbors(cells) == BOUNDARY)
     columns = [list(face) for face in FACES.tolist()]
@@ -68,12 +63,8 @@ def box_copies(
 ) -> dict[tuple[str, str], NDArray[np.int64]]:
     """For each high face of a periodic box the pairs of its nodes and their copies in the low face, (p, 2).
 
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    standing : (n,) integers
-        As `matched_nodes` finds it; of nodes on edges and corners of the box, pairs straight across are taken.
-    box : (2, 3) float
+    `standing`, (n,), is that of `matched_nodes`; of nodes on edges and corners of the box, pairs straight across are
+    taken.
     """
     low, high = on_faces(nodes, box)
     pairs = {}

@@ -14,23 +14,13 @@ TOLERANCE = 1e-6
 
 
 class FaceMatch(NamedTuple):
-    """Agreement of the triangles in opposite faces of a box; each is an array of three, for x, y and z.
+    """Agreement of the triangles in opposite faces of a box; each is an array of three, for x, y and z."""
 
-    Attributes
-    ----------
-    area : (3,) float64
-        Mean area of the mesh in the low and the high face.
-    matched : (3,) int64
-        Pairs of triangles that are copies of each other.
-    free : (3,) int64
-        Triangles without a copy that have nothing on the other side: there the surface of the solid lies in the face.
-    mismatched : (3,) int64
-        Triangles without a copy that overlap some on the other side; the mesh does not repeat there.
-    """
-
-    area: NDArray[np.float64]
-    matched: NDArray[np.int64]
+    area: NDArray[np.float64]  # mean area of the mesh in the low and the high face
+    matched: NDArray[np.int64]  # pairs of triangles that are copies of each other
+    # triangles without a copy and with nothing on the other side: there the surface of the solid lies in the face
     free: NDArray[np.int64]
+    # triangles without a copy that overlap some on the other side; the mesh does not repeat there
     mismatched: NDArray[np.int64]
 
 
@@ -45,29 +35,13 @@ def on_faces(
 def matched_nodes(
     nodes: NDArray[np.floating], box: NDArray[np.floating], tolerance: float = TOLERANCE
 ) -> NDArray[np.int64]:
-    """For each node the one that stands for it and all its copies on faces, edges and corners of a periodic box.
+    """For each node (n,) the one that stands for it and all its copies on faces, edges and corners of a periodic box.
 
     The representative of a node is its copy on the low faces; of copies none of which lies on low faces only, the one
     with the lowest number. A node without copies, inside the box or on a face whose other side has none there, stands
-    for itself. Unknowns of representatives are what is left of a periodic problem.
-
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    box : (2, 3) float
-        Low and high corner.
-    tolerance : float
-        Fraction of the shortest edge of the box by which copies may miss each other.
-
-    Returns
-    -------
-    (n,) int64
-        Applied twice it changes nothing more.
-
-    Raises
-    ------
-    ValueError
-        If two nodes at the same face are closer to each other than the tolerance, so that a copy could be either.
+    for itself. Unknowns of representatives are what is left of a periodic problem; applied twice it changes nothing
+    more. Copies may miss each other by `tolerance`, a fraction of the shortest edge of the box (2, 3). ValueError if
+    two nodes at the same face are closer to each other than that, so that a copy could be either.
     """
     from scipy.spatial import cKDTree
 
@@ -100,16 +74,7 @@ def face_match(
     box: NDArray[np.floating],
     tolerance: float = TOLERANCE,
 ) -> FaceMatch:
-    """Compare the triangles of a mesh in opposite faces of its box.
-
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    tets : (m, 4 or more) integers
-    box : (2, 3) float
-    tolerance : float
-        As for `matched_nodes`.
-    """
+    """Compare the triangles of a mesh, (n, 3) and (m, 4 or more), in opposite faces of its box; see `matched_nodes`."""
     from scipy.spatial import cKDTree
 
     reach = 2 * tolerance * float(np.min(box[1] - box[0]))
@@ -158,15 +123,8 @@ def loose_parts(
 ) -> int:
     """Number of the parts of a periodic mesh if all of them are loose; 0 if one runs through the box along some axis.
 
-    A part runs through if it holds a way along edges from a node to a copy of that node in another period.
-
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    cells : (m, 4) int
-    box : (2, 3) float
-    standing : (n,) int64
-        See `matched_nodes`.
+    A part runs through if it holds a way along edges from a node to a copy of that node in another period. `standing`,
+    (n,), is that of `matched_nodes`.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -196,6 +154,7 @@ def loose_parts(
                 if other not in place:
                     place[other] = place[one] + shift
                     todo.append(other)
+                # the same part is met again some periods away: it runs through
                 elif (place[other] != place[one] + shift).any():
                     return 0
     return found

@@ -12,22 +12,14 @@ EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], np.int64)
 def with_mid_nodes(
     nodes: NDArray[np.floating], tets: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Add a node in the middle of each edge; tetrahedra that share the edge share it.
+    """Add a node in the middle of each edge, which the tetrahedra at the edge share.
 
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    tets : (m, 4) integers
-
-    Returns
-    -------
-    nodes : (n + edges, 3) float64
-        The old ones first.
-    tets : (m, 10) int32
-        Corners, then the nodes on the edges 01, 12, 02, 03, 13, 23.
+    Of nodes (n, 3) and tets (m, 4); nodes become (n + edges, 3) float64, the old ones first, and tets (m, 10) int32:
+    corners, then the nodes on the edges 01, 12, 02, 03, 13, 23.
     """
     points = np.asarray(nodes, np.float64)
     ends = np.sort(np.asarray(tets, np.int64)[:, EDGES], axis=2)
+    # an edge as one number, which sorts much faster than rows of two
     edges, number = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)
     first, second = np.divmod(edges, max(1, len(points)))
     middles = (points[first] + points[second]) / 2
@@ -36,16 +28,10 @@ def with_mid_nodes(
 
 
 def minimum_jacobian(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
-    """The smallest Jacobian determinant of each quadratic tetrahedron at its ten nodes, (m,).
+    """The smallest Jacobian determinant of each quadratic tetrahedron (m, 10) at its ten nodes, (m,).
 
     Six times the volume for one with straight edges and nodes in their middles. Positive values at the nodes do not
     prove that it is positive in between, but that is where curved edges fail first.
-
-    Parameters
-    ----------
-    nodes : (n, 3) float
-    tets : (m, 10) integers
-        In the order of `with_mid_nodes`.
     """
     corners = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
     places = np.concatenate([corners, corners[EDGES].mean(1)])

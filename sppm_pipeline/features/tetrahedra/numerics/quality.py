@@ -14,42 +14,20 @@ _FIFTHS = 900
 
 
 class Quality(NamedTuple):
-    """The result of `quality`. Cells without volume have no angles; they are counted as inverted.
+    """The result of `quality`. Cells without volume have no angles; they are counted as inverted."""
 
-    Attributes
-    ----------
-    minimum_dihedral, maximum_dihedral : float
-        Over all cells and their six edges, degrees.
-    radius_ratio : float
-        The largest circumradius over three times the inradius; 1 for a regular tetrahedron.
-    edge_ratio : float
-        The largest longest edge over shortest edge of a cell.
-    volume : float
-        Sum, with sign.
-    minimum_volume, maximum_volume : float
-        Of a cell, with sign.
-    inverted : int
-        Cells without positive volume.
-    """
-
-    minimum_dihedral: float
-    maximum_dihedral: float
-    radius_ratio: float
-    edge_ratio: float
-    volume: float
-    minimum_volume: float
-    maximum_volume: float
-    inverted: int
+    minimum_dihedral: float  # over all cells and their six edges, degrees
+    maximum_dihedral: float  # the same
+    radius_ratio: float  # the largest circumradius over three times the inradius; 1 for a regular tetrahedron
+    edge_ratio: float  # the largest longest edge over shortest edge of a cell
+    volume: float  # sum, with sign
+    minimum_volume: float  # of a cell, with sign
+    maximum_volume: float  # the same
+    inverted: int  # cells without positive volume
 
 
 def quality(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> Quality:
-    """Measure tetrahedra by their corners, (n, 3) and (m, 4 or more).
-
-    Raises
-    ------
-    ValueError
-        If there is no tetrahedron.
-    """
+    """Measure tetrahedra by their corners, (n, 3) and (m, 4 or more); ValueError if there is none."""
     if not len(tets):
         raise ValueError("a mesh without tetrahedra has no quality")
     points, corners = _prepared(nodes, tets)
@@ -60,13 +38,7 @@ def quality(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> Quality:
 
 
 def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], bins: int = 90) -> NDArray[np.int64]:
-    """Number of dihedral angles in each of `bins` equal intervals from 0 to 180 degrees, (bins,).
-
-    Raises
-    ------
-    ValueError
-        If the number of bins does not divide 900.
-    """
+    """Number of dihedral angles in each of `bins` equal intervals, which must divide 900, from 0 to 180 degrees, (bins,)."""
     if bins < 1 or _FIFTHS % bins:
         raise ValueError(f"the number of bins must divide {_FIFTHS}, not be {bins}")
     counts = _count_angles(*_prepared(nodes, tets))
@@ -193,5 +165,6 @@ def _count_angles(points: NDArray[np.float64], corners: NDArray[np.int32]) -> ND
         if out[6] > 0:
             for i in range(6):
                 angle = np.degrees(np.arccos(min(1.0, max(-1.0, out[i]))))
+                # an angle of exactly 180 degrees belongs to the last bin
                 counts[min(_FIFTHS - 1, int(angle * (_FIFTHS / 180.0)))] += 1
     return counts

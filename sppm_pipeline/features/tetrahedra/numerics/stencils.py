@@ -23,21 +23,12 @@ def cut_tetrahedra(
     slots: NDArray[np.int32],
     periodic: bool,
 ) -> NDArray[np.int64]:
-    """The tetrahedra that fill the solid.
+    """The tetrahedra that fill the solid, (m, 4).
 
-    Parameters
-    ----------
-    signs : (2 nz + 1, 2 ny + 1, 2 nx + 1) int8
-        1 for points of the lattice in the solid, -1 in the void, 0 on the surface.
-    slot_of, starts, incident, slots
-        As in `Crossings`.
-    periodic : bool
-
-    Returns
-    -------
-    (m, 4) int64
-        Corners: the index of a point in the raveled doubled grid; or, from its size on, 8 times the number of the cut
-        edge plus, for a copy of that edge in high faces of the box, 1, 2, 4 for x, y, z.
+    `signs`, (2 nz + 1, 2 ny + 1, 2 nx + 1), are 1 for points of the lattice in the solid, -1 in the void, 0 on the
+    surface; the other arrays are those of `Crossings`. Corners are the index of a point in the raveled doubled grid;
+    or, from its size on, 8 times the number of the cut edge plus, for a copy of that edge in high faces of the box, 1,
+    2, 4 for x, y, z.
     """
     count = int(_cut(signs, slot_of.reshape(-1), starts, incident, slots, periodic, np.empty((0, 4), np.int64), False))
     tets = np.empty((count, 4), np.int64)
@@ -79,7 +70,7 @@ def _cut_point(
 
 @jit
 def _ends_at(third: NDArray[np.int64], p: NDArray[np.int64], q: NDArray[np.int64]) -> bool:
-    """True if the diagonal of the quadrilateral below `third` ends at the cut point from p, not at that from q."""
+    """Test whether the diagonal of the quadrilateral below `third` ends at the cut point from p, not at that from q."""
     longer, parity = int(np.int64(0)), int(np.int64(0))
     for axis in range(3):
         longer += (p[axis] - third[axis]) ** 2 - (q[axis] - third[axis]) ** 2
@@ -189,6 +180,7 @@ def _cut_one(
         _emit(tets, n, flip, names[0], names[1], names[2], names[3])
         return n + 1
     _pillars(at, solid, void, names, cuts, low, high, wins)
+    # pillars by falling wins, so that one way to cut a prism into tetrahedra serves all diagonals
     i, j, k = 0, 1, 2
     if wins[j] > wins[i]:
         i, j, flip = j, i, not flip

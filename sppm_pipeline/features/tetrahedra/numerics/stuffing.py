@@ -27,46 +27,25 @@ MAX_TETRAHEDRA = 50_000_000
 class Stuffed(NamedTuple):
     """A tetrahedral mesh.
 
-    Attributes
-    ----------
-    nodes : (n, 3) float64
-        In units of the spacing of the grid, from the low corner of the box; those in a face of the box lie exactly in
-        it, and copies on opposite faces of a periodic box are equal to the bit in the other coordinates.
-    tets : (m, 4) int32
-        Corners, of positive volume.
-    twins : (n,) int32
-        For each node the first of those that are its copies on opposite faces: the one on low faces, if it is in the
-        mesh. Itself for all others, and in a box that does not repeat.
-    put_back : int
-        Points in faces of the box that had to stay where they were for the sake of the angles.
+    Nodes are in units of the spacing of the grid, from the low corner of the box; those in a face of the box lie
+    exactly in it, and copies on opposite faces of a periodic box are equal to the bit in the other coordinates. The
+    twin of a node is the first of those that are its copies on opposite faces: the one on low faces, if it is in the
+    mesh; itself for all others, and in a box that does not repeat.
     """
 
-    nodes: NDArray[np.float64]
-    tets: NDArray[np.int32]
-    twins: NDArray[np.int32]
-    put_back: int
+    nodes: NDArray[np.float64]  # (n, 3)
+    tets: NDArray[np.int32]  # (m, 4), corners, of positive volume
+    twins: NDArray[np.int32]  # (n,)
+    put_back: int  # points in faces of the box that had to stay where they were for the sake of the angles
 
 
 def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.float32], ...] = ()) -> Stuffed:
     """Fill the part of a box where a field is negative with tetrahedra.
 
-    Parameters
-    ----------
-    values : (2 nz + 1, 2 ny + 1, 2 nx + 1) float32
-        Samples at the points of the lattice, as `doubled_grid` lays them. At least 4 cubes along each axis of a
-        periodic box.
-    periodic : bool
-        Whether the box repeats for ever.
-    others : arrays as `values`
-        If `values` is the maximum of several fields, these fields: the surface is then where, coming from the solid,
-        the first of them reaches zero, which their maximum does not show.
-
-    Raises
-    ------
-    ValueError
-        If a periodic box has fewer than 4 cubes along an axis.
-    ResourceError
-        If there are too many cubes or tetrahedra.
+    `values`, (2 nz + 1, 2 ny + 1, 2 nx + 1), are samples at the points of the lattice, as `doubled_grid` lays them, at
+    least 4 cubes along each axis of a periodic box (else ValueError). If they are the maximum of several fields,
+    `others` are these fields: the surface is then where, coming from the solid, the first of them reaches zero, which
+    their maximum does not show. ResourceError if there are too many cubes or tetrahedra.
     """
     nz, ny, nx = (s // 2 for s in values.shape)
     if periodic and min(nx, ny, nz) < 4:
@@ -206,14 +185,7 @@ def _positions(
 
 
 def without_islands(mesh: Stuffed) -> tuple[Stuffed, float]:
-    """The connected component of largest volume, across faces of cells and of a periodic box as well.
-
-    Returns
-    -------
-    mesh : Stuffed
-    removed : float
-        Fraction of the volume that went.
-    """
+    """The component of largest volume, connected across faces, those of a periodic box included; the fraction removed."""
     count, labels = components(face_neighbors(mesh.twins[mesh.tets]))
     if count <= 1:
         return mesh, 0.0
@@ -249,26 +221,12 @@ REACH_IN_FACE = 0.45
 def warp(
     crossings: Crossings, fractions: NDArray[np.float64], top: tuple[int, int, int], periodic: bool
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Warp lattice points onto the surface: which ones move, and by how much.
+    """Warp lattice points onto the surface: which ones move, (s,), and by how much, (s, 3), in the doubled grid.
 
     A point in a face of the box moves in that face only, in an edge of the box along it. Where only edges that leave
     the face are cut too close to it, it is moved along one in the face that is cut within reach; failing that it stays
-    where it is and counts as on the surface all the same.
-
-    Parameters
-    ----------
-    crossings : Crossings
-    fractions : (e,) float64
-        Where the surface cuts each edge, as a fraction of it from its first end.
-    top : 3 ints
-        Largest coordinates of the doubled grid, x, y, z.
-    periodic : bool
-
-    Returns
-    -------
-    on_surface : (s,) bool
-    moved : (s, 3) float64
-        In units of the doubled grid; 0 for those that stay.
+    where it is and counts as on the surface all the same. `fractions`, (e,), are where the surface cuts each edge, from
+    its first end; `top` are the largest coordinates of the doubled grid, x, y, z.
     """
     steps = np.diff(crossings.ends, axis=1)[:, 0].astype(np.float64)
     squares = (steps**2).sum(1).astype(np.int64)

@@ -20,27 +20,14 @@ elements: 59 iterations; 79 and 98 with a tenth and ten times of it; 499 without
 
 
 class TetHomogenized(NamedTuple):
-    """Effective stiffness and how it was computed.
+    """Effective stiffness and how it was computed."""
 
-    Attributes
-    ----------
-    stiffness : (6, 6) float64
-        Voigt, engineering shear, of the whole box.
-    iterations : list of 6 ints
-    residuals : list of 6 floats
-    unknowns : int
-    constraints : int
-        Rows that join opposite faces; 0 where nodes match.
-    solid : float
-        Volume of the mesh.
-    """
-
-    stiffness: NDArray[np.float64]
-    iterations: list[int]
-    residuals: list[float]
+    stiffness: NDArray[np.float64]  # (6, 6), Voigt, engineering shear, of the whole box
+    iterations: list[int]  # of the six load cases
+    residuals: list[float]  # of the six load cases
     unknowns: int
-    constraints: int
-    solid: float
+    constraints: int  # rows that join opposite faces; 0 where nodes match
+    solid: float  # volume of the mesh
 
 
 def homogenize_tetrahedra(
@@ -57,34 +44,14 @@ def homogenize_tetrahedra(
     iterations: int = 2000,
     progress: Callable[[int], None] | None = None,
 ) -> TetHomogenized:
-    """Homogenize linear elasticity on a mesh of a periodic cell.
+    """Homogenize linear elasticity on a mesh of a periodic cell: nodes (n, 3), cells (m, 4) or (m, 10), box (2, 3).
 
-    Parameters
-    ----------
-    nodes : (n, 3) float64
-    cells : (m, 4) or (m, 10) int32
-    box : (2, 3) float64
-        Corners of the periodic cell.
-    young, poisson : (m,) float64
-        Of each cell.
-    representative : (n,) int64 or None
-        For meshes whose opposite faces match: for each node the one that stands for all its periodic copies. None joins
-        the faces by constraints.
-    faces : {"mortar", "collocation"}
-        How faces that do not match are joined.
-    face_tolerance : float
-        How far nodes of a face may lie from the box, over the longest edge of the box.
-    tolerance : float
-        Residual of each load case over its load.
-    iterations : int
-        Maximum number of iterations of one load case.
-    progress : function, optional
-        Called with the number of load cases that are done.
-
-    References
-    ----------
-    Michel, Moulinec and Suquet 1999 for the cell problem; the energy form makes the error of the stiffness that of the
-    displacements squared.
+    `young` and `poisson`, (m,), are those of each cell. For meshes whose opposite faces match, `representative`, (n,),
+    is the node that stands for all periodic copies of each; None joins the faces by constraints, as `faces` says:
+    "mortar" or "collocation". `face_tolerance` is how far nodes of a face may lie from the box, over its longest edge;
+    `tolerance` the residual of each load case over its load, within a maximum number of `iterations`; `progress` is
+    called with the number of load cases that are done. Michel, Moulinec and Suquet 1999 for the cell problem; the
+    energy form makes the error of the stiffness that of the displacements squared.
     """
     used = np.zeros(len(nodes), bool)
     used[cells] = True
@@ -127,18 +94,10 @@ def homogenize_tetrahedra(
 
 
 class Solution(NamedTuple):
-    """Solutions and how accurate they are.
+    """Solutions and how accurate they are."""
 
-    Attributes
-    ----------
-    values : (n, 6) float64
-    residuals : list of 6 floats
-        Norm of the residual over that of the right-hand side.
-    iterations : list of 6 ints
-    """
-
-    values: Vectors
-    residuals: list[float]
+    values: Vectors  # (n, 6)
+    residuals: list[float]  # norm of each residual over that of the right-hand side
     iterations: list[int]
 
 
@@ -155,19 +114,10 @@ def rigid_modes(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def tied(matrix: Any, constraints: Any) -> Any:
-    """The matrix with springs between what constraints join: the same where they are fulfilled.
+    """The matrix, bsr (3 n, 3 n), with springs between what constraints join: the same where they are fulfilled.
 
-    Without them a preconditioner takes faces that are joined for free ones, which are much softer.
-
-    Parameters
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
-    constraints : scipy.sparse matrix, (c, n)
-        On one component of the displacement.
-
-    Returns
-    -------
-    scipy.sparse.bsr_matrix, (3 n, 3 n)
+    Without them a preconditioner takes faces that are joined for free ones, which are much softer. `constraints`, (c,
+    n), are those on one component of the displacement.
     """
     from scipy.sparse import bsr_matrix, diags
 
@@ -182,15 +132,10 @@ def tied(matrix: Any, constraints: Any) -> Any:
 
 
 class Projector:
-    """The orthogonal projection onto the displacements with ``constraints @ u = 0`` in each component.
+    """The orthogonal projection onto the displacements with ``constraints @ u = 0``, (c, n), in each component.
 
     Constraints may repeat each other; what is left of such a repetition after factorization is removed by iterative
     refinement.
-
-    Parameters
-    ----------
-    constraints : scipy.sparse matrix, (c, n)
-        On one component of the displacement; all three fulfil the same.
     """
 
     def __init__(self, constraints: Any) -> None:
@@ -200,6 +145,7 @@ class Projector:
         self._rows = constraints.tocsr()
         self._columns = self._rows.T.tocsr()
         self._gram = (self._rows @ self._columns).tocsc()
+        # constraints that repeat each other make the matrix singular, which a factorization does not survive
         shift = 1e-10 * float(self._gram.diagonal().max())
         # as is usual for a symmetric matrix: two thirds of the factors, which are read at every solution
         order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -230,24 +176,12 @@ def conjugate_gradients(
     iterations: int,
     progress: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Solve ``matrix x = right`` for a positive semidefinite matrix and six right-hand sides in its range.
+    """Solve ``matrix x = right`` for a positive semidefinite matrix and six right-hand sides (n, 6) in its range.
 
     Each has conjugate directions of its own, all take their steps together, and one that is done stands still.
-
-    Parameters
-    ----------
-    matrix : Blocks, (n, n)
-    right : (n, 6) float64
-    precondition : function
-        Symmetric.
-    project : function or None
-        Projection onto the space that the solutions are sought in.
-    tolerance : float
-        Of the residual's norm over that of the right-hand side.
-    iterations : int
-        Maximum number of iterations; the solution so far is returned with its residual.
-    progress : function, optional
-        Called with the number of right-hand sides that are done.
+    `precondition` is symmetric; `project`, if any, goes onto the space that the solutions are sought in. `tolerance` is
+    that of the residual's norm over that of the right-hand side; after the maximum number of `iterations` the solution
+    so far is returned with its residual. `progress` is called with the number of right-hand sides that are done.
     """
     keep = project or (lambda values: values)
     right = np.ascontiguousarray(right)

@@ -20,20 +20,12 @@ _EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 
 
 class Assembled(NamedTuple):
-    """The discrete problem of a cell.
+    """The discrete problem of a cell."""
 
-    Attributes
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n), blocks 3 x 3
-    loads : (6, 3 n) float64
-        Forces of the six unit strains (Voigt, engineering shear); displacements solve ``matrix u = -load``.
-    mean : (6, 6) float64
-        Sum of volume times material stiffness: the energies of the unit strains without any displacement.
-    volume : float
-    """
-
-    matrix: Any
+    matrix: Any  # scipy.sparse.bsr_matrix, (3 n, 3 n), blocks 3 x 3
+    # (6, 3 n), forces of unit strains (Voigt, engineering shear); displacements solve ``matrix u = -load``
     loads: NDArray[np.float64]
+    # (6, 6), volume times material stiffness: energies of the unit strains without any displacement
     mean: NDArray[np.float64]
     volume: float
 
@@ -45,23 +37,11 @@ def assemble(
     lame: NDArray[np.float64],
     shear: NDArray[np.float64],
 ) -> Assembled:
-    """Assemble the stiffness of a mesh.
+    """Assemble the stiffness of a mesh of nodes (n, 3) and cells (m, 4) or (m, 10), in the order of `VolumeMesh`.
 
-    Parameters
-    ----------
-    nodes : (n, 3) float64
-    cells : (m, 4) or (m, 10) int
-        Positive volumes; see `sppm_pipeline.features.tetrahedra.volume_mesh.VolumeMesh` for the order of nodes.
-    unknowns : (n,) int
-        Number of the displacement that each node has, 0 to the largest without gaps; nodes that periodicity makes one
-        share it.
-    lame, shear : (m,) float64
-        Lamé's first constant and the shear modulus of each cell.
-
-    Raises
-    ------
-    ValueError
-        If a cell has no positive volume at a point of quadrature.
+    `unknowns`, (n,), number the displacement that each node has from 0 without gaps; nodes that periodicity makes one
+    share it. `lame` and `shear`, (m,), are Lamé's first constant and the shear modulus of each cell. ValueError if a
+    cell has no positive volume at a point of quadrature.
     """
     from scipy.sparse import bsr_matrix, coo_matrix
 
@@ -73,6 +53,8 @@ def assemble(
     m, width = at.shape
     ones = np.ones(m * width * width, np.int8)
     pairs = (np.repeat(at, width, axis=1).reshape(-1), np.tile(at, (1, width)).reshape(-1))
+    # the pattern first and the numbers into it: a list of all element matrices would take many times the
+    # memory
     pattern = coo_matrix((ones, pairs), shape=(count, count)).tocsr()
     pattern.sort_indices()
     starts, columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)

@@ -23,10 +23,8 @@ CASES = 6
 class Blocks:
     """A symmetric matrix that multiplies, and is relaxed for, six vectors at a time.
 
-    Parameters
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
-        Blocks of 3 x 3, those on the diagonal positive definite. Of the rest only the part above it is read.
+    Made of a bsr_matrix, (3 n, 3 n), of blocks 3 x 3, those on the diagonal positive definite. Of the rest only the
+    part above it is read.
     """
 
     def __init__(self, matrix: Any) -> None:

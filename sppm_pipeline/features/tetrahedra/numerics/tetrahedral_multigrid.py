@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.features.tetrahedra.numerics.quadratic import EDGES
 from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import CASES, Blocks, Vectors
 
 COARSEST = 60
@@ -19,30 +20,13 @@ RIGID = 1e-11
 (1.4e-14 was seen on a mesh of 148 000 nodes, where the smallest of an elastic mode was 0.4) that may pass the cut-off
 which SciPy's pseudoinverse has by itself; divided by them, translations grow until the solution is lost."""
 
-_ENDS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
-"""Corners at the ends of the edges that the mid-edge nodes 4 ... 9 of a tetrahedron lie on."""
-
 
 def aggregation(matrix: Any, modes: NDArray[np.float64], blocks: Blocks | None = None) -> Callable[[Vectors], Vectors]:
-    """One V-cycle of smoothed aggregation as a preconditioner.
+    """One V-cycle of smoothed aggregation as a preconditioner of residuals (3 n, 6).
 
-    Parameters
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
-        Symmetric, positive semidefinite.
-    modes : (3 n, 6) float64
-        Modes of little energy.
-    blocks : Blocks, optional
-        The same matrix, if it has been made.
-
-    Returns
-    -------
-    function
-        Of residuals, (3 n, 6).
-
-    References
-    ----------
-    Vaněk, Mandel and Brezina 1996; PyAMG (Bell, Olson, Schroder and Southworth 2023).
+    `matrix` is a bsr_matrix, (3 n, 3 n), symmetric and positive semidefinite, `blocks` the same if it has been made,
+    and `modes`, (3 n, 6), are modes of little energy. Vaněk, Mandel and Brezina 1996; PyAMG (Bell, Olson, Schroder and
+    Southworth 2023).
     """
     import pyamg
 
@@ -82,18 +66,9 @@ def linear_below_quadratic(
 ) -> Callable[[Vectors], Vectors]:
     """A preconditioner of quadratic elements, whose coarse space are the linear elements on the same mesh.
 
-    Parameters
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
-        Symmetric, positive semidefinite.
-    blocks : Blocks
-        The same matrix.
-    cells : (m, 10) int64
-        Unknowns of each tetrahedron, mid-edge nodes last.
-    points : (n, 3) float64
-        Where the unknowns are.
-    modes : function
-        Modes of little energy of points.
+    `matrix` is a bsr_matrix, (3 n, 3 n), symmetric and positive semidefinite, `blocks` the same; `cells`, (m, 10), hold
+    the unknowns of each tetrahedron, mid-edge nodes last, `points`, (n, 3), are their places, and `modes` makes modes
+    of little energy of points.
     """
     from scipy.sparse import identity, kron
 
@@ -108,22 +83,15 @@ def linear_below_quadratic(
 def interpolation(cells: NDArray[np.int64], count: int) -> Any:
     """Values of linear elements at all nodes of quadratic ones: of a corner its own, of a mid-edge node the ends' mean.
 
-    Parameters
-    ----------
-    cells : (m, 10) int64
-        Numbers of the nodes, 0 to ``count - 1``.
-
-    Returns
-    -------
-    scipy.sparse.csr_matrix, (count, corners)
-        Corners in the order of their numbers.
+    `cells`, (m, 10), number the nodes from 0 to ``count - 1``; the matrix, (count, corners), has the corners in the
+    order of their numbers.
     """
     from scipy.sparse import coo_matrix
 
     corners, at = np.unique(cells[:, :4], return_inverse=True)
     middles, first = np.unique(cells[:, 4:], return_index=True)
-    cell, edge = np.divmod(first, len(_ENDS))
-    ends = at.reshape(-1, 4)[cell[:, None], _ENDS[edge]]
+    cell, edge = np.divmod(first, len(EDGES))
+    ends = at.reshape(-1, 4)[cell[:, None], EDGES[edge]]
     rows = np.concatenate([corners, np.repeat(middles, 2)])
     columns = np.concatenate([np.arange(len(corners)), ends.reshape(-1)])
     values = np.concatenate([np.ones(len(corners)), np.full(ends.size, 0.5)])
