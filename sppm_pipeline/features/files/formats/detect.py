@@ -1,4 +1,4 @@
-"""Which mesh format a file is in: its extension decides, its content must agree."""
+"""Detection of mesh formats: the extension of a file decides, its content must agree."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def drain_candidates(
 
 
 def points_within(points: NDArray[np.float64], triangles: NDArray[np.float64], distance: float) -> NDArray[np.bool_]:
-    """Which points (n, 3) lie within a distance of triangles (k, 3, 3), (n,) bool."""
+    """Test which points (n, 3) lie within a distance of triangles (k, 3, 3), (n,) bool."""
     each = np.repeat(np.arange(len(points), dtype=np.int32), 3).reshape(-1, 3)
     return faces_within(points, each, triangles, distance)
 

@@ -82,7 +82,7 @@ class Tracker:
 
     @property
     def plate(self) -> NDArray[np.bool_]:
-        """Which open components of void meet the build plate."""
+        """Open components of void that meet the build plate."""
         return np.asarray(self._table[:, _PLATE], np.bool_)
 
     def add(self, runs: Runs, layer: int) -> LayerCount:

@@ -27,7 +27,7 @@ class FaceMatch(NamedTuple):
 def on_faces(
     nodes: NDArray[np.floating], box: NDArray[np.floating], tolerance: float = TOLERANCE
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which nodes lie in the low and in the high face of the box, (n, 3) bool each, across x, y, z."""
+    """Test which nodes lie in the low and in the high face of the box, (n, 3) bool each, across x, y, z."""
     reach = tolerance * float(np.min(box[1] - box[0]))
     return np.abs(nodes - box[0]) <= reach, np.abs(nodes - box[1]) <= reach
 
@@ -107,7 +107,7 @@ def _doubled_areas(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _covered(points: NDArray[np.float64], triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points in a plane lie inside one of some triangles."""
+    """Test which points in a plane lie inside one of some triangles."""
     covered = np.zeros(len(points), np.bool_)
     for triangle in triangles:
         edges = np.roll(triangle, -1, axis=0) - triangle

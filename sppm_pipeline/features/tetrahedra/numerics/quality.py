@@ -38,7 +38,7 @@ def quality(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> Quality:
 
 
 def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], bins: int = 90) -> NDArray[np.int64]:
-    """Number of dihedral angles in each of `bins` equal intervals, which must divide 900, from 0 to 180 degrees, (bins,)."""
+    """Number of dihedral angles in each of `bins` (a divisor of 900) equal intervals of 0 to 180 degrees, (bins,)."""
     if bins < 1 or _FIFTHS % bins:
         raise ValueError(f"the number of bins must divide {_FIFTHS}, not be {bins}")
     counts = _count_angles(*_prepared(nodes, tets))

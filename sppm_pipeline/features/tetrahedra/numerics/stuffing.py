@@ -185,7 +185,7 @@ def _positions(
 
 
 def without_islands(mesh: Stuffed) -> tuple[Stuffed, float]:
-    """The component of largest volume, connected across faces, those of a periodic box included; the fraction removed."""
+    """The component of largest volume, connected across faces, also of a periodic box; the fraction removed."""
     count, labels = components(face_neighbors(mesh.twins[mesh.tets]))
     if count <= 1:
         return mesh, 0.0

@@ -145,7 +145,7 @@ class Projector:
         self._rows = constraints.tocsr()
         self._columns = self._rows.T.tocsr()
         self._gram = (self._rows @ self._columns).tocsc()
-        # constraints that repeat each other make the matrix singular, which a factorization does not survive
+        # constraints that repeat each other make the matrix singular, which LU factorization would divide by
         shift = 1e-10 * float(self._gram.diagonal().max())
         # as is usual for a symmetric matrix: two thirds of the factors, which are read at every solution
         order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.features.tetrahedra.numerics.quadratic import EDGES
 from sppm_pipeline.services.jit.compiled import jit
 
 # The quadrature of degree 2 with four points (Hammer, Marlowe and Stroud 1956) suffices for
@@ -14,9 +15,6 @@ from sppm_pipeline.services.jit.compiled import jit
 _A, _B = (5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20
 _POINTS = np.array([[_A, _B, _B, _B], [_B, _A, _B, _B], [_B, _B, _A, _B], [_B, _B, _B, _A]])
 _MIDDLE = np.full((1, 4), 0.25)
-
-# ends of the edges that the mid-edge nodes 4 ... 9 lie on
-_EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 
 
 class Assembled(NamedTuple):
@@ -82,7 +80,7 @@ def _reference_gradients(width: int) -> NDArray[np.float64]:
     made = np.empty((len(_POINTS), 10, 3))
     for q, point in enumerate(_POINTS):
         made[q, :4] = (4 * point - 1)[:, None] * slopes
-        for edge, (a, b) in enumerate(_EDGES):
+        for edge, (a, b) in enumerate(EDGES):
             made[q, 4 + edge] = 4 * (point[a] * slopes[b] + point[b] * slopes[a])
     return made
 
