@@ -32,5 +32,5 @@ def sppm_commands() -> dict[str, Command]:
             "list the printers and resins there are, or describe one",
             f"{__name__}.commands:configure",
             f"{__name__}.commands:execute",
-        ),
+        )
     }

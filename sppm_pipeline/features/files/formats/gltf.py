@@ -222,8 +222,7 @@ class _Tables:
         kind, count = self._kind(accessor), accessor.integer("count")
         if "bufferView" not in accessor:
             accessor.fail(
-                "it has no bufferView: its values are zeros, or compressed by Draco",
-                hint="export without compression",
+                "it has no bufferView: its values are zeros, or compressed by Draco", hint="export without compression"
             )
         values = self._window(accessor, kind, count, _WIDTHS[shape], strides=True)
         if "sparse" in accessor:

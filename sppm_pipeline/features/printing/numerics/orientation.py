@@ -49,10 +49,7 @@ def turn_up(direction: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def score_turned(
-    solid: NDArray[np.uint8],
-    turn: tuple[float, float, float],
-    plate: Literal["sealed", "supports"],
-    reach: float = 1.0,
+    solid: NDArray[np.uint8], turn: tuple[float, float, float], plate: Literal["sealed", "supports"], reach: float = 1.0
 ) -> Score:
     """Turn a body of cubic voxels (nz, ny, nx), which holds some, by nearest voxels and scan its layers.
 

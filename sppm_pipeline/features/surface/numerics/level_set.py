@@ -79,10 +79,7 @@ def coincident_vertices(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def separate_coincident_vertices(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The vertices (n, 3) of a closed manifold, coincident ones moved apart, each a little towards its own neighbors.
 

@@ -39,15 +39,7 @@ class Surfaces(NamedTuple):
 
 
 @jit
-def _patch(
-    values: NDArray[np.float32],
-    k: int,
-    j: int,
-    i: int,
-    b: int,
-    c: int,
-    patch: NDArray[np.float64],
-) -> None:
+def _patch(values: NDArray[np.float32], k: int, j: int, i: int, b: int, c: int, patch: NDArray[np.float64]) -> None:
     """The 4 x 4 samples around the face at node (k, j, i) that axes b and c span, rows along b."""
     n = values.shape[2 - c]
     at = (i, j, k)[c]
@@ -159,11 +151,7 @@ def _across(surfaces: Surfaces, corner: NDArray[np.int64], normal: NDArray[np.fl
     k = min(k, surfaces.field.shape[0] - 2)
     at = np.float64(surfaces.field[k, j, i])
     x, y, z = surfaces.field[k, j, i + 1] - at, surfaces.field[k, j + 1, i] - at, surfaces.field[k + 1, j, i] - at
-    rim = (
-        normal[1] * z - normal[2] * y,
-        normal[2] * x - normal[0] * z,
-        normal[0] * y - normal[1] * x,
-    )
+    rim = (normal[1] * z - normal[2] * y, normal[2] * x - normal[0] * z, normal[0] * y - normal[1] * x)
     length2 = rim[0] * rim[0] + rim[1] * rim[1] + rim[2] * rim[2]
     return float(rim[flat] * rim[flat] / length2) if length2 > 0.0 else 0.0
 

@@ -64,9 +64,7 @@ class MarchingCubes(Stage):
         None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
     )
     voxel: Length | None = options.voxel(
-        None,
-        note="at most this long, instead of `resolution`; the cell is cut into equal parts",
-        formerly="spacing",
+        None, note="at most this long, instead of `resolution`; the cell is cut into equal parts", formerly="spacing"
     )
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"

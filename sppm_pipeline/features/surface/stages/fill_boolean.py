@@ -59,9 +59,7 @@ class BooleanFill(Stage):
         None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
     )
     voxel: Length | None = options.voxel(
-        None,
-        note="at most this long, instead of `resolution`; the cell is cut into equal parts",
-        formerly="spacing",
+        None, note="at most this long, instead of `resolution`; the cell is cut into equal parts", formerly="spacing"
     )
     skin: Length | None = options.skin(None, above=0, maximum=1e6)
     islands: str = options.islands("auto", note="in the finished part")

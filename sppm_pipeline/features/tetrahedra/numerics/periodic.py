@@ -69,10 +69,7 @@ def matched_nodes(
 
 
 def face_match(
-    nodes: NDArray[np.floating],
-    tets: NDArray[np.integer],
-    box: NDArray[np.floating],
-    tolerance: float = TOLERANCE,
+    nodes: NDArray[np.floating], tets: NDArray[np.integer], box: NDArray[np.floating], tolerance: float = TOLERANCE
 ) -> FaceMatch:
     """Compare the triangles of a mesh, (n, 3) and (m, 4 or more), in opposite faces of its box; see `matched_nodes`."""
     from scipy.spatial import cKDTree

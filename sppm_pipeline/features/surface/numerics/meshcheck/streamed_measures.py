@@ -33,11 +33,7 @@ class StreamedMeasures:
         self._before = both[len(self._before) :]
 
     def add_window(
-        self,
-        both: NDArray[np.float64],
-        base: int,
-        faces: NDArray[np.int32],
-        rims: NDArray[np.float64] = _NO_RIMS,
+        self, both: NDArray[np.float64], base: int, faces: NDArray[np.int32], rims: NDArray[np.float64] = _NO_RIMS
     ) -> None:
         """`add`, with the vertices of the piece before in front; the first of them has the number `base`."""
         if len(faces):
