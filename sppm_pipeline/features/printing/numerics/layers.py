@@ -27,13 +27,9 @@ def unsupported(runs: Runs, below: Runs, reach: NDArray[np.int64]) -> Runs:
 
 @jit
 def _unsupported(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32],
-    nx: int,
-    reach: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    rows: NDArray[np.int64], bounds: NDArray[np.int32], rows_below: NDArray[np.int64], bounds_below: NDArray[np.int32],
+    nx: int, reach: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:  # fmt: skip
     ny, around = rows.size - 1, reach.size // 2
     out_rows = np.empty_like(rows)
     out = np.empty(max(64, bounds.size), np.int32)

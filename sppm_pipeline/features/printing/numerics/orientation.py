@@ -81,13 +81,9 @@ def score_turned(
 
 @jit
 def _turned_layer(
-    solid: NDArray[np.uint8],
-    back: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    center: NDArray[np.float64],
-    k: int,
-    layer: NDArray[np.uint8],
-) -> None:
+    solid: NDArray[np.uint8], back: NDArray[np.float64], middle: NDArray[np.float64], center: NDArray[np.float64],
+    k: int, layer: NDArray[np.uint8],
+) -> None:  # fmt: skip
     """Fill a layer with the voxels in which its centers lie once they are turned back."""
     nz, ny, nx = solid.shape
     z = k + 0.5 - center[2]

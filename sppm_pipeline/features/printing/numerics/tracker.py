@@ -193,15 +193,9 @@ def _join_within(rows: NDArray[np.int64], bounds: NDArray[np.int32], local: NDAr
 
 @jit
 def _join_below(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32],
-    of_below: NDArray[np.int32],
-    local: NDArray[np.int32],
-    touched: NDArray[np.int32],
-    forest: NDArray[np.int32],
-) -> None:
+    rows: NDArray[np.int64], bounds: NDArray[np.int32], rows_below: NDArray[np.int64], bounds_below: NDArray[np.int32],
+    of_below: NDArray[np.int32], local: NDArray[np.int32], touched: NDArray[np.int32], forest: NDArray[np.int32],
+) -> None:  # fmt: skip
     """Unite the open components that a two-dimensional one touches, and note one of them for it."""
     for y in range(rows.size - 1):
         a, a_stop = rows[y], rows[y + 1]
@@ -226,20 +220,10 @@ def _join_below(
 
 @jit
 def _grow(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    nx: int,
-    rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32],
-    of_below: NDArray[np.int32],
-    table: NDArray[np.int64],
-    k: int,
-    border_grounds: bool,
-    all_grounded: bool,
-    on_plate: bool,
-    of_run: NDArray[np.int32],
-    successor: NDArray[np.int32],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    rows: NDArray[np.int64], bounds: NDArray[np.int32], nx: int, rows_below: NDArray[np.int64],
+    bounds_below: NDArray[np.int32], of_below: NDArray[np.int32], table: NDArray[np.int64], k: int,
+    border_grounds: bool, all_grounded: bool, on_plate: bool, of_run: NDArray[np.int32], successor: NDArray[np.int32],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
     """One step: the new table of open components, the events, and the numbers of `LayerCount`."""
     n, m, ny = bounds.size // 2, len(table), rows.size - 1
     local = np.empty(n, np.int32)

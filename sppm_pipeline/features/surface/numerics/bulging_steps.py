@@ -57,21 +57,11 @@ def find_places(
 
 @jit
 def move(
-    vertices: NDArray[np.float64],
-    places: NDArray[np.uint8],
-    normals: NDArray[np.float32],
-    rise: NDArray[np.float32],
-    more: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-    taken: NDArray[np.float32],
-    notes: NDArray[np.uint8],
-    first: int,
-    stop: int,
-    low: NDArray[np.float64],
-    spacing: NDArray[np.float64],
+    vertices: NDArray[np.float64], places: NDArray[np.uint8], normals: NDArray[np.float32], rise: NDArray[np.float32],
+    more: NDArray[np.float32], share: NDArray[np.float32], room: NDArray[np.float32], taken: NDArray[np.float32],
+    notes: NDArray[np.uint8], first: int, stop: int, low: NDArray[np.float64], spacing: NDArray[np.float64],
     wholly: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Move vertices as far as they should, or else have to for their neighbors; `rise` keeps what is left to move.
 
     They move along their edges of the grid, so that they come to lie higher by the wanted way. Those on the border of
@@ -120,16 +110,10 @@ def move(
 
 @jit
 def find_takers(
-    vertices: NDArray[np.float64],
-    taken: NDArray[np.float32],
-    notes: NDArray[np.uint8],
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8],
-    base: int,
-    chosen: NDArray[np.int32],
+    vertices: NDArray[np.float64], taken: NDArray[np.float32], notes: NDArray[np.uint8], points: NDArray[np.float64],
+    faces: NDArray[np.int32], kinds: NDArray[np.uint8], base: int, chosen: NDArray[np.int32],
     areas: NDArray[np.float64],
-) -> int:
+) -> int:  # fmt: skip
     """Add up the triangles with a corner to which another one can leave something; returns how many there are.
 
     Their numbers and twice their areas go into `chosen` and `areas`, which have room for all.
@@ -184,16 +168,10 @@ def find_takers(
 
 @jit
 def pass_on(
-    rise: NDArray[np.float32],
-    more: NDArray[np.float32],
-    share: NDArray[np.float32],
-    taken: NDArray[np.float32],
-    notes: NDArray[np.uint8],
-    faces: NDArray[np.int32],
-    base: int,
-    chosen: NDArray[np.int32],
+    rise: NDArray[np.float32], more: NDArray[np.float32], share: NDArray[np.float32], taken: NDArray[np.float32],
+    notes: NDArray[np.uint8], faces: NDArray[np.int32], base: int, chosen: NDArray[np.int32],
     areas: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """Leave what vertices can't be moved to their neighbors, by the areas of the triangles between them.
 
     The volume is kept: where only some of the triangles have a corner that can be moved, these get it all. `chosen` and

@@ -27,13 +27,9 @@ SIDES = np.uint8(63)
 
 @jit
 def find_corners(
-    faces: NDArray[np.int32],
-    f: int,
-    base: int,
-    vertices: NDArray[np.float64],
-    points: NDArray[np.float64],
+    faces: NDArray[np.int32], f: int, base: int, vertices: NDArray[np.float64], points: NDArray[np.float64],
     corners: NDArray[np.float64],
-) -> bool:
+) -> bool:  # fmt: skip
     """Write the corners of a triangle into `corners` (3, 3); return whether one of them is on a rim."""
     on_rim = False
     for c in range(3):
@@ -50,14 +46,9 @@ def find_corners(
 
 @jit
 def add_normals(
-    vertices: NDArray[np.float64],
-    places: NDArray[np.uint8],
-    normals: NDArray[np.float32],
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    base: int,
-    scale: float,
-) -> None:
+    vertices: NDArray[np.float64], places: NDArray[np.uint8], normals: NDArray[np.float32], points: NDArray[np.float64],
+    faces: NDArray[np.int32], base: int, scale: float,
+) -> None:  # fmt: skip
     corners, begin, lanes = np.empty((3, 3)), np.uint64(base), np.uint64(AT_ONCE)
     ids, sides, out = np.empty(3 * AT_ONCE, np.uint64), np.empty(6 * AT_ONCE), np.empty(9 * AT_ONCE, np.float32)
     f = int(np.int64(0))
@@ -138,17 +129,10 @@ def to_unit_length(normals: NDArray[np.float32]) -> None:
 
 @jit
 def add_rises(
-    vertices: NDArray[np.float64],
-    places: NDArray[np.uint8],
-    normals: NDArray[np.float32],
-    rise: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8],
-    base: int,
-) -> None:
+    vertices: NDArray[np.float64], places: NDArray[np.uint8], normals: NDArray[np.float32], rise: NDArray[np.float32],
+    share: NDArray[np.float32], room: NDArray[np.float32], points: NDArray[np.float64], faces: NDArray[np.int32],
+    kinds: NDArray[np.uint8], base: int,
+) -> None:  # fmt: skip
     """Add up what triangles rise, and find the shortest edges."""
     corners, turned, lengths2 = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     begin, lanes = np.uint64(base), np.uint64(AT_ONCE)
@@ -222,17 +206,10 @@ def _find_rises(sides: NDArray[np.float64], ends: NDArray[np.float32], n: np.uin
 
 @jit
 def _add_rise_at_rim(
-    normals: NDArray[np.float32],
-    rise: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-    faces: NDArray[np.int32],
-    f: int,
-    base: int,
-    corners: NDArray[np.float64],
-    turned: NDArray[np.float64],
+    normals: NDArray[np.float32], rise: NDArray[np.float32], share: NDArray[np.float32], room: NDArray[np.float32],
+    faces: NDArray[np.int32], f: int, base: int, corners: NDArray[np.float64], turned: NDArray[np.float64],
     lengths2: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """`add_rises` for a triangle with a corner on a rim; the last two are room to work in."""
     movable = 0
     for corner in range(3):

@@ -163,20 +163,10 @@ def _cubic_zeros(work: NDArray[np.float64], n: int) -> None:
 
 @jit
 def _look_up(
-    vertices: NDArray[np.float64],
-    first: int,
-    stop: int,
-    field: NDArray[np.float32],
-    flat: NDArray[np.float32],
-    domain: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    a_node: NDArray[np.float64],
-    steps: NDArray[np.int64],
-    start: int,
-    held: NDArray[np.int64],
-    work: NDArray[np.float64],
-) -> int:
+    vertices: NDArray[np.float64], first: int, stop: int, field: NDArray[np.float32], flat: NDArray[np.float32],
+    domain: NDArray[np.float32], skin: NDArray[np.float32], origin: NDArray[np.float64], a_node: NDArray[np.float64],
+    steps: NDArray[np.int64], start: int, held: NDArray[np.int64], work: NDArray[np.float64],
+) -> int:  # fmt: skip
     """Find the grid edges of some vertices, and the cubics along them; returns how many of these there are.
 
     A row of `held` gets the node at the lower end of the edge, counted from the first plane, its axis, whether the void
@@ -232,20 +222,11 @@ def _look_up(
 
 @jit
 def _place(
-    vertices: NDArray[np.float64],
-    edge: NDArray[np.int64],
-    on: NDArray[np.uint8],
-    triangle: NDArray[np.int32],
-    field: NDArray[np.float32],
-    domain: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    shape: NDArray[np.int64],
-    crossed: NDArray[np.int64],
-    shares: NDArray[np.float64],
+    vertices: NDArray[np.float64], edge: NDArray[np.int64], on: NDArray[np.uint8], triangle: NDArray[np.int32],
+    field: NDArray[np.float32], domain: NDArray[np.float32], skin: NDArray[np.float32], origin: NDArray[np.float64],
+    spacing: NDArray[np.float64], shape: NDArray[np.int64], crossed: NDArray[np.int64], shares: NDArray[np.float64],
     owners: NDArray[np.int32],
-) -> None:
+) -> None:  # fmt: skip
     flat, steps = field.ravel(), np.array([1, field.shape[2], field.shape[2] * field.shape[1]])
     work, held, a_node = np.empty(11 * _AT_ONCE), np.empty((_AT_ONCE, 6), np.int64), 1.0 / spacing
     for first in range(0, vertices.shape[0], _AT_ONCE):

@@ -20,14 +20,9 @@ def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
 
 @jit
 def fans_from_ends(
-    part: NDArray[np.int64],
-    length: int,
-    single: bool,
-    places: NDArray[np.float64],
-    masks: NDArray[np.int64],
-    made: int,
-    triangles: NDArray[np.int64],
-) -> int:
+    part: NDArray[np.int64], length: int, single: bool, places: NDArray[np.float64], masks: NDArray[np.int64],
+    made: int, triangles: NDArray[np.int64],
+) -> int:  # fmt: skip
     """Triangles of a polygon, each with its first or last corner, of least area, none with a diagonal in a face.
 
     `part`, (length,), are corners as rows of `places` and of `masks` (the faces of the cube on which they lie). If

@@ -109,13 +109,9 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
 
 @jit
 def _mixed(
-    faces: NDArray[np.int32],
-    first: int,
-    on: NDArray[np.uint8],
-    triangle: NDArray[np.int32],
-    normals: NDArray[np.float64],
-    mixed: NDArray[np.bool_],
-) -> int:
+    faces: NDArray[np.int32], first: int, on: NDArray[np.uint8], triangle: NDArray[np.int32],
+    normals: NDArray[np.float64], mixed: NDArray[np.bool_],
+) -> int:  # fmt: skip
     """Mark the triangles whose corners lie on surfaces that meet at an edge; returns their number."""
     n = 0
     for f in range(faces.shape[0]):
@@ -134,15 +130,9 @@ def _mixed(
 
 @jit
 def _cube(
-    faces: NDArray[np.int32],
-    f: int,
-    first: int,
-    edge: NDArray[np.int64],
-    nx: int,
-    ny: int,
-    node: NDArray[np.int64],
+    faces: NDArray[np.int32], f: int, first: int, edge: NDArray[np.int64], nx: int, ny: int, node: NDArray[np.int64],
     cube: NDArray[np.int64],
-) -> None:
+) -> None:  # fmt: skip
     """Low corner of the cube of a triangle, whose three grid edges always span it."""
     for c in range(3):
         edge_node(edge[faces[f, c] - first], nx, ny, node)
@@ -225,14 +215,9 @@ def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], 
 
 @jit
 def _move_to_corner(
-    polygon: _Polygon,
-    size: int,
-    cube: NDArray[np.int64],
-    first: int,
-    placed: Placed,
-    surfaces: Surfaces,
+    polygon: _Polygon, size: int, cube: NDArray[np.int64], first: int, placed: Placed, surfaces: Surfaces,
     point: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """Move the middle of a polygon to where its surfaces meet, if the domain has a sharp edge there.
 
     Elsewhere the middle of the rim points is on the rims, and within the domain.
@@ -270,14 +255,9 @@ def _move_to_corner(
 
 @jit
 def _split(
-    faces: NDArray[np.int32],
-    mixed: NDArray[np.bool_],
-    first: int,
-    placed: Placed,
-    surfaces: Surfaces,
-    polygon: _Polygon,
-    out: Split,
-) -> tuple[int, int, int]:
+    faces: NDArray[np.int32], mixed: NDArray[np.bool_], first: int, placed: Placed, surfaces: Surfaces,
+    polygon: _Polygon, out: Split,
+) -> tuple[int, int, int]:  # fmt: skip
     """Write the triangles, rim points and losses, and return their numbers."""
     edge, on = placed.edge, placed.on
     origin, spacing, nx, ny = surfaces.origin, surfaces.spacing, surfaces.shape[0], surfaces.shape[1]

@@ -51,14 +51,9 @@ def count_mesh(runs: Runs, keep: NDArray[np.bool_], capped: bool, threads: int =
 
 @jit
 def _fill_plane(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    keep: NDArray[np.bool_],
-    size: NDArray[np.int64],
-    pad: int,
-    plane: int,
-    words: NDArray[np.uint64],
-) -> None:
+    rows: NDArray[np.int64], bounds: NDArray[np.int32], keep: NDArray[np.bool_], size: NDArray[np.int64], pad: int,
+    plane: int, words: NDArray[np.uint64],
+) -> None:  # fmt: skip
     """The signs of a plane, which is void if it lies outside of the solid's."""
     words[:] = np.uint64(0)
     if plane < pad or plane >= size[0] + pad:
@@ -82,15 +77,9 @@ def _fill_plane(
 
 @jit
 def _count(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    keep: NDArray[np.bool_],
-    size: NDArray[np.int64],
-    pad: int,
-    start: int,
-    stop: int,
-    table: NDArray[np.uint8],
-) -> tuple[int, int]:
+    rows: NDArray[np.int64], bounds: NDArray[np.int32], keep: NDArray[np.bool_], size: NDArray[np.int64], pad: int,
+    start: int, stop: int, table: NDArray[np.uint8],
+) -> tuple[int, int]:  # fmt: skip
     """Vertices and triangles of the planes start <= p < stop, and between each of them and the plane before it."""
     ny, nx = size[1] + 2 * pad, size[2] + 2 * pad
     low, high = np.empty((ny, (nx + 63) // 64), np.uint64), np.empty((ny, (nx + 63) // 64), np.uint64)

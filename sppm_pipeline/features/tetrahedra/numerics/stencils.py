@@ -38,15 +38,9 @@ def cut_tetrahedra(
 
 @jit
 def _cut_point(
-    u: NDArray[np.int64],
-    v: NDArray[np.int64],
-    top: NDArray[np.int64],
-    slot_of: NDArray[np.int32],
-    starts: NDArray[np.int64],
-    incident: NDArray[np.int64],
-    slots: NDArray[np.int32],
-    periodic: bool,
-) -> int:
+    u: NDArray[np.int64], v: NDArray[np.int64], top: NDArray[np.int64], slot_of: NDArray[np.int32],
+    starts: NDArray[np.int64], incident: NDArray[np.int64], slots: NDArray[np.int32], periodic: bool,
+) -> int:  # fmt: skip
     """The number of the cut point between two corners."""
     first, second, copy = int(np.int64(0)), int(np.int64(0)), int(np.int64(0))
     size = int(np.int64(1))
@@ -100,15 +94,9 @@ def _sort_by_sign(at: NDArray[np.int64], sign: NDArray[np.int64]) -> bool:
 
 @jit
 def _pillars(
-    at: NDArray[np.int64],
-    solid: int,
-    void: int,
-    names: NDArray[np.int64],
-    cuts: NDArray[np.int64],
-    low: NDArray[np.int64],
-    high: NDArray[np.int64],
-    wins: NDArray[np.int64],
-) -> None:
+    at: NDArray[np.int64], solid: int, void: int, names: NDArray[np.int64], cuts: NDArray[np.int64],
+    low: NDArray[np.int64], high: NDArray[np.int64], wins: NDArray[np.int64],
+) -> None:  # fmt: skip
     """Solid part of a tetrahedron with two or three corners in the solid, as a prism: its three pillars.
 
     `wins` counts for each pillar the diagonals that end at its high end. A pyramid is a prism with a pillar of no
@@ -138,24 +126,11 @@ def _pillars(
 
 @jit
 def _cut_one(
-    at: NDArray[np.int64],
-    signs: NDArray[np.int8],
-    slot_of: NDArray[np.int32],
-    starts: NDArray[np.int64],
-    incident: NDArray[np.int64],
-    slots: NDArray[np.int32],
-    periodic: bool,
-    top: NDArray[np.int64],
-    sign: NDArray[np.int64],
-    names: NDArray[np.int64],
-    cuts: NDArray[np.int64],
-    low: NDArray[np.int64],
-    high: NDArray[np.int64],
-    wins: NDArray[np.int64],
-    tets: NDArray[np.int64],
-    n: int,
-    fill: bool,
-) -> int:
+    at: NDArray[np.int64], signs: NDArray[np.int8], slot_of: NDArray[np.int32], starts: NDArray[np.int64],
+    incident: NDArray[np.int64], slots: NDArray[np.int32], periodic: bool, top: NDArray[np.int64],
+    sign: NDArray[np.int64], names: NDArray[np.int64], cuts: NDArray[np.int64], low: NDArray[np.int64],
+    high: NDArray[np.int64], wins: NDArray[np.int64], tets: NDArray[np.int64], n: int, fill: bool,
+) -> int:  # fmt: skip
     """Cut one tetrahedron with corners `at`; returns the number of tetrahedra so far."""
     solid, void = int(np.int64(0)), int(np.int64(0))
     for i in range(4):
@@ -197,15 +172,9 @@ def _cut_one(
 
 @jit
 def _cut(
-    signs: NDArray[np.int8],
-    slot_of: NDArray[np.int32],
-    starts: NDArray[np.int64],
-    incident: NDArray[np.int64],
-    slots: NDArray[np.int32],
-    periodic: bool,
-    tets: NDArray[np.int64],
-    fill: bool,
-) -> int:
+    signs: NDArray[np.int8], slot_of: NDArray[np.int32], starts: NDArray[np.int64], incident: NDArray[np.int64],
+    slots: NDArray[np.int32], periodic: bool, tets: NDArray[np.int64], fill: bool,
+) -> int:  # fmt: skip
     """Count the pieces of all tetrahedra of the lattice, or write them down."""
     top, center = np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):

@@ -246,18 +246,10 @@ def warp(
 
 @jit
 def _warp(
-    order: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    incident: NDArray[np.int64],
-    slots: NDArray[np.int32],
-    fractions: NDArray[np.float64],
-    steps: NDArray[np.float64],
-    too_close: NDArray[np.float64],
-    lengths: NDArray[np.float64],
-    fixed: NDArray[np.bool_],
-    on_surface: NDArray[np.bool_],
-    moved: NDArray[np.float64],
-) -> None:
+    order: NDArray[np.int64], starts: NDArray[np.int64], incident: NDArray[np.int64], slots: NDArray[np.int32],
+    fractions: NDArray[np.float64], steps: NDArray[np.float64], too_close: NDArray[np.float64],
+    lengths: NDArray[np.float64], fixed: NDArray[np.bool_], on_surface: NDArray[np.bool_], moved: NDArray[np.float64],
+) -> None:  # fmt: skip
     for s in order:
         close = False
         best, way, nearest = -1, 0.0, np.inf

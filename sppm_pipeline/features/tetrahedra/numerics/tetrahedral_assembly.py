@@ -87,19 +87,10 @@ def _reference_gradients(width: int) -> NDArray[np.float64]:
 
 @jit
 def _scatter(
-    nodes: NDArray[np.float64],
-    cells: NDArray[np.int64],
-    at: NDArray[np.int64],
-    lame: NDArray[np.float64],
-    shear: NDArray[np.float64],
-    reference: NDArray[np.float64],
-    weight: float,
-    starts: NDArray[np.int64],
-    columns: NDArray[np.int64],
-    blocks: NDArray[np.float64],
-    loads: NDArray[np.float64],
-    mean: NDArray[np.float64],
-) -> tuple[float, float]:
+    nodes: NDArray[np.float64], cells: NDArray[np.int64], at: NDArray[np.int64], lame: NDArray[np.float64],
+    shear: NDArray[np.float64], reference: NDArray[np.float64], weight: float, starts: NDArray[np.int64],
+    columns: NDArray[np.int64], blocks: NDArray[np.float64], loads: NDArray[np.float64], mean: NDArray[np.float64],
+) -> tuple[float, float]:  # fmt: skip
     """Add all cells in their order; the volume and the smallest Jacobian."""
     points, width, _ = reference.shape
     g = np.empty((width, 3))

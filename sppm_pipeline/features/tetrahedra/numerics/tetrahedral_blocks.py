@@ -67,13 +67,9 @@ class Blocks:
 
 @inline_jit
 def _add_of_later(
-    start: int,
-    stop: int,
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    x: NDArray[np.float64],
+    start: int, stop: int, columns: NDArray[np.int32], values: NDArray[np.float64], x: NDArray[np.float64],
     total: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """Add the blocks of a row times their part of `x` to a sum (3, 6).
 
     From the last one on, as rows are taken from the last one on: memory is read in one direction.
@@ -92,13 +88,9 @@ def _add_of_later(
 
 @inline_jit
 def _add_to_later(
-    start: int,
-    stop: int,
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    own: NDArray[np.float64],
+    start: int, stop: int, columns: NDArray[np.int32], values: NDArray[np.float64], own: NDArray[np.float64],
     out: NDArray[np.float64],
-) -> None:
+) -> None:  # fmt: skip
     """Add the blocks of a row, as those of the column that it is too, times a part of a vector (3, 6)."""
     for at in range(start, stop):
         column = columns[at]
@@ -114,13 +106,9 @@ def _add_to_later(
 
 @inline_jit
 def _multiply(
-    starts: NDArray[np.int64],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    diagonal: NDArray[np.float64],
-    x: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
+    starts: NDArray[np.int64], columns: NDArray[np.int32], values: NDArray[np.float64], diagonal: NDArray[np.float64],
+    x: NDArray[np.float64], out: NDArray[np.float64],
+) -> None:  # fmt: skip
     """The matrix times (n, 3, 6)."""
     own, total = np.empty((3, CASES)), np.empty((3, CASES))
     for row in range(len(out) - 1, -1, -1):
@@ -180,13 +168,9 @@ def _leave(
 
 @inline_jit
 def _relax_back(
-    starts: NDArray[np.int64],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    inverses: NDArray[np.float64],
-    rest: NDArray[np.float64],
-    x: NDArray[np.float64],
-) -> None:
+    starts: NDArray[np.int64], columns: NDArray[np.int32], values: NDArray[np.float64], inverses: NDArray[np.float64],
+    rest: NDArray[np.float64], x: NDArray[np.float64],
+) -> None:  # fmt: skip
     """Set each block, from the last on, to what the right-hand side asks for; `rest` is that, and is used up."""
     own, total = np.empty((3, CASES)), np.empty((3, CASES))
     for row in range(len(x)):

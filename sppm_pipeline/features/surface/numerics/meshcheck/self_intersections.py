@@ -75,15 +75,9 @@ def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
 
 @jit
 def _pairs(
-    triangles: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    flat: NDArray[np.bool_],
-    first: int,
-    last: int,
-    max_pairs: int,
-    marked: NDArray[np.bool_],
-) -> tuple[int, int]:
+    triangles: NDArray[np.float64], boxes: NDArray[np.float64], starts: NDArray[np.int64], flat: NDArray[np.bool_],
+    first: int, last: int, max_pairs: int, marked: NDArray[np.bool_],
+) -> tuple[int, int]:  # fmt: skip
     """Pairs of triangles in leaves first to last with those in the same leaf or later ones."""
     leaves = starts.size - 1
     waiting = np.empty(DEPTH, np.int64)
