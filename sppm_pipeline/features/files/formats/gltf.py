@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -66,9 +66,7 @@ class Entry:
 
     def integer(self, key: str, default: int | None = None) -> int:
         """An integer >= 0; required without a default."""
-        value = self._values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-            self._refuse(key, value, "an integer >= 0")
+        value: int = self._checked(key, default, _is_index, "an integer >= 0")
         return value
 
     def numbers(self, key: str, count: int | None) -> list[float] | None:
@@ -86,49 +84,47 @@ class Entry:
 
     def integers(self, key: str) -> list[int]:
         """Integers >= 0, perhaps none."""
-        value = self._values.get(key, [])
-        if not isinstance(value, list) or any(isinstance(v, bool) or not isinstance(v, int) or v < 0 for v in value):
-            self._refuse(key, value, "a list of integers >= 0")
-        return value
+        return list(self._checked(key, [], lambda v: _are(v, _is_index), "a list of integers >= 0"))
 
     def strings(self, key: str) -> list[str]:
         """Strings, perhaps none."""
-        value = self._values.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-            self._refuse(key, value, "a list of strings")
-        return value
+        return list(self._checked(key, [], lambda v: _are(v, lambda word: isinstance(word, str)), "a list of strings"))
 
     def string(self, key: str) -> str:
         """A string; empty if there is none."""
-        value = self._values.get(key, "")
-        if not isinstance(value, str):
-            self._refuse(key, value, "a string")
-        return value
+        return str(self._checked(key, "", lambda v: isinstance(v, str), "a string"))
 
     def entry(self, key: str) -> Entry:
         """An object inside this one; without values if there is none."""
-        value = self._values.get(key, {})
-        if not isinstance(value, dict):
-            self._refuse(key, value, "an object")
+        value = self._checked(key, {}, lambda v: isinstance(v, dict), "an object")
         return Entry(value, self._name, f"{self.where} {key}".lstrip())
 
     def entries(self, key: str) -> list[Entry]:
         """Objects in a list, perhaps none."""
-        value = self._values.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            self._refuse(key, value, "a list of objects")
+        value = self._checked(key, [], lambda v: _are(v, lambda item: isinstance(item, dict)), "a list of objects")
         place = f"{self.where} {key}".lstrip()
         return [Entry(item, self._name, f"{place}[{k}]") for k, item in enumerate(value)]
 
     def flag(self, key: str) -> bool:
         """True or false; false if it is not given."""
-        value = self._values.get(key, False)
-        if not isinstance(value, bool):
-            self._refuse(key, value, "true or false")
+        return bool(self._checked(key, False, lambda v: isinstance(v, bool), "true or false"))
+
+    def _checked(self, key: str, default: Any, fits: Callable[[Any], bool], wanted: str) -> Any:
+        value = self._values.get(key, default)
+        if not fits(value):
+            self._refuse(key, value, wanted)
         return value
 
     def _refuse(self, key: str, value: object, wanted: str) -> NoReturn:
         self.fail(f"{key!r} must be {wanted}, not {repr(value)[:60]}" if key in self else f"{key!r} is missing")
+
+
+def _is_index(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0  # Python's booleans are integers
+
+
+def _are(values: Any, fits: Callable[[Any], bool]) -> bool:
+    return isinstance(values, list) and all(map(fits, values))
 
 
 def _finite(number: int | float) -> bool:
