@@ -70,6 +70,7 @@ class PieceFile:
         corners = faces - np.int32(base)
         # a negative number is a large one when its sign is not looked at
         if corners.size and int(corners.view(np.uint32).max()) >= len(points):
+            # checked as the pieces pass: afterwards they are forgotten
             raise ValueError("a triangle names a vertex that does not exist")
         found = largest(points[known:].reshape(-1))
         if not np.isfinite(found):
@@ -120,6 +121,7 @@ class PieceFile:
 
     def hand_over(self, context: Context, name: str) -> int:
         """Make the file an output of a stage; returns its size in bytes."""
+        # by a rename: the output is whole or not there
         os.replace(self._path, context.output(name))
         context.hashed(name, self._digest.hexdigest())
         return self._size

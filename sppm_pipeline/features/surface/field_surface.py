@@ -224,15 +224,8 @@ class FieldSurface:
             if part is None or not self.cut:
                 yield _FlatPiece(MeshPiece(vertices, faces, no_kinds), rims.points, no_vertices, no_volumes)
                 continue
-            if before is not None:
-                joined = Placed(
-                    np.concatenate([before.vertices, placed.vertices]),
-                    np.concatenate([before.edge, placed.edge]),
-                    np.concatenate([before.on, placed.on]),
-                    np.concatenate([before.triangle, placed.triangle]),
-                )
-            else:
-                joined = placed
+            # faces of this piece have corners in the piece before
+            joined = placed if before is None else Placed(*map(np.concatenate, zip(before, placed, strict=True)))
             split = split_rims(faces, first, joined, samples)
             piece = MeshPiece(vertices, rims.numbered(split), split.on)
             yield _FlatPiece(piece, rims.points, split.losers, split.lost)

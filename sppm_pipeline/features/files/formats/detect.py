@@ -64,12 +64,14 @@ def sniff(data: bytes | memoryview | bytearray) -> str | None:
     head = bytes(data[:4096])
     if head[:4] == b"glTF":
         return "glb"
+    # a ZIP lists its entries at its end: there a 3MF names its model
     if head[:4] == b"PK\x03\x04" and b".model" in bytes(data[-65536:]).lower():
         return "3mf"
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "text in UTF-16; save it as plain text (ASCII or UTF-8)"
     if head[:4] in (b"ply\n", b"ply\r") or head[:4] == b"ply ":
         return "ply"
+    # after the formats with a signature, as a binary STL has none but the fit of its length
     if stl.is_binary(data) or stl.is_ascii(data):
         return "stl"
     for line in head.splitlines():

@@ -35,10 +35,12 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     and raise.
     """
     require_content(data, name)
+    # views of the file: nothing of its size is copied before it is checked
     text, binary = _chunks(memoryview(data).cast("B"), name)
     document = read_document(text, name)
     _require_readable(document)
     entries = document.entries("meshes")
+    # each mesh is read once, however many nodes place it
     numbers: dict[int, int] = {}
     copies: list[tuple[int, Matrix]] = []
     for node, matrix in _nodes(document):
@@ -101,6 +103,7 @@ def _require_readable(document: Entry) -> None:
 def _nodes(document: Entry) -> list[tuple[Entry, Matrix]]:
     """The nodes of the scene that have a mesh, with their transformation, in the order of the tree."""
     nodes, scenes = document.entries("nodes"), document.entries("scenes")
+    # before anything is made for each of them
     if len(nodes) > MAX_PLACED:
         document.fail(f"it has {len(nodes)} nodes; at most {MAX_PLACED} are read")
     children = [node.integers("children") for node in nodes]
@@ -144,6 +147,7 @@ def _matrix(node: Entry) -> Matrix:
     matrix = IDENTITY.copy()
     if turn is not None:
         length = float(np.hypot(np.hypot(turn[0], turn[1]), np.hypot(turn[2], turn[3])))
+        # exporters round quaternions; what is farther off is no rotation
         if abs(length - 1) > 1e-2:
             node.fail(f"its rotation must be a unit quaternion, not {turn}")
         x, y, z, w = (value / length for value in turn)

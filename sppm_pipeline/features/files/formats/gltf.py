@@ -32,6 +32,7 @@ def read_document(text: bytes, name: str) -> Entry:
             hint="export fewer objects: join them to one mesh",
         )
     try:
+        # Python's JSON takes NaN and Infinity, which the standard does not know
         document = json.loads(text.decode("utf-8"), parse_constant=_no_number)
     except RecursionError as error:
         raise InputError(f"{name}: its JSON is nested too deep") from error
@@ -238,6 +239,7 @@ class _Tables:
         which = self._window(places, self._kind(places), changes, 1).reshape(-1)
         if which.dtype.kind != "u" or (which.size and int(which.max()) >= len(values)):
             places.fail(f"its places must be unsigned and below {len(values)}")
+        # the window is a view of the file, which stays as it is
         values = values.copy()
         values[which.astype(np.int64)] = self._window(replaced, kind, changes, width)
         return values
@@ -267,9 +269,11 @@ class _Tables:
             view.fail(f"it ends at byte {begin + length} of a buffer of {held} bytes", hint="the file is cut off")
         row = kind.itemsize * width
         step = view.integer("byteStride", row) if strides else row
+        # 252 bytes are the largest stride that the specification allows
         if step < row or step > max(row, 252):
             view.fail(f"its byteStride of {step} bytes does not fit values of {row} bytes")
         offset = entry.integer("byteOffset", 0)
+        # the last value takes its own length, not a whole stride
         needed = offset + step * (count - 1) + row if count else offset
         if needed > length:
             entry.fail(f"its {count} values take {needed} bytes of a bufferView of {length} bytes")

@@ -24,12 +24,11 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
 
 
 def decode_with_groups(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, Groups]:
-    """Read a mesh, and the triangles of its objects, groups and materials.
+    """Read a mesh, and the triangles of its objects, groups and materials; vertices keep the order of the file.
 
     Polygons are cut into fans; relative (negative) vertex numbers, ``a/b/c`` corners, colors behind the coordinates,
     comments and continued lines are understood. Every face of the file is taken, whatever object or group it is in.
-
-    See `detect.decode_mesh` for what all readers take, return and raise. Vertices keep the order of the file.
+    See `detect.decode_mesh` for what all readers take, return and raise.
     """
     require_content(data, name)
     lines = Lines(data, name, continued=True)

@@ -26,6 +26,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     lines = Lines(data, name)
     rows = iter(lines)
     n_vertices, n_faces = _counts(lines, rows)
+    # a count that the rest of the file cannot hold is refused before any loop runs over it
     require_room(name, "vertices", n_vertices, _SHORTEST_VERTEX, len(data) - lines.end + 1, lines.end)
     coordinates, corners = array("d"), array("q")
     for _ in range(n_vertices):

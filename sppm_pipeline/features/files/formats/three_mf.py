@@ -104,6 +104,7 @@ class _Package:
             if len(self._models) >= _MAX_PARTS:
                 raise InputError(f"{self._name}: it is spread over more than {_MAX_PARTS} parts")
             model = read_model(self._archive.chunks(part), self._name, part)
+            # `place` joins meshes by numbers alone, so that all parts must have one unit
             first = next(iter(self._models.values()), model)
             if model.unit != first.unit:
                 raise InputError(f"{self._name}: {part}: its unit is {model.unit}, that of the file {first.unit}")
@@ -141,6 +142,7 @@ class _Package:
         own, entry = self._object(part, use)
         if entry.kind not in _SOLID:
             return
+        # transformations of components apply inside those of the items that use them
         matrix = use.matrix if outer is None else after(outer, use.matrix)
         if entry.mesh is not None:
             key = (own, use.identifier)

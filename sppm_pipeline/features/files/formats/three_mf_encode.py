@@ -74,6 +74,7 @@ def encode(
         item = 1 if offsets is None else 2
         yield packed(f'</resources>\n<build><item objectid="{item}"/></build>\n</model>\n'.encode())
 
+    # entries are made one after the other, so that only one is in memory
     def small(content: bytes) -> Callable[[], Iterator[Packed]]:
         return lambda: iter([packed(content)])
 

@@ -104,6 +104,7 @@ class XmlReader:
         parser.buffer_text = True
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
+        # without a DTD there are no entities, which could expand to any size or name other files
         parser.StartDoctypeDeclHandler = self._refuse_doctype
         parser.EntityDeclHandler = self._refuse_doctype
         self._parser = parser
@@ -130,6 +131,7 @@ class XmlReader:
         for chunk in chunks:
             yield chunk
             size += len(chunk)
+            # a ZIP packs gigabytes of blanks into kilobytes
             if size > _SLACK + _PER_ELEMENT * self._elements:
                 self.fail(f"{size} bytes of XML hold only {self._elements} elements")
 

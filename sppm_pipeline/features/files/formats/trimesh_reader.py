@@ -46,6 +46,7 @@ def decode_other(data: bytes | memoryview | bytearray, name: str, kind: str) -> 
     with third_party_reader("trimesh", name, "convert it to .stl, .ply or .3mf"):
         import trimesh
 
+        # `process=False`: vertices stay as the file has them, unmerged and in order
         scene = trimesh.load_scene(io.BytesIO(bytes(data)), file_type=kind, process=False)
         mesh, unit = scene.to_mesh(), scene.units
         mm = float(trimesh.units.unit_conversion(unit, "millimeters")) if unit else 1.0

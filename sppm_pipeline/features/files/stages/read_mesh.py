@@ -143,6 +143,7 @@ class ReadMesh(Stage):
             boundary_edges=counts.boundary,
         )
         enclosed = math.nan  # the sum over the triangles of an open mesh depends on where it is
+        # an open mesh has no inside: only one that is wound consistently is turned, and as a whole
         if counts.bounds_solid:
             wound = orient(vertices, faces)
             if wound.turned == len(faces):
@@ -194,6 +195,7 @@ def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
     count = int.from_bytes(header[80:84], "little") if extension == "stl" else 0
     if count and length == 84 + 50 * count:
         record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+        # a sample spread over the file gives the box; of its pages only some are read
         records = np.memmap(path, record, "r", 84)[:: max(1, count // PROBED_TRIANGLES)]
         corners = records["corners"].reshape(-1, 3).astype(np.float64)
         with np.errstate(invalid="ignore"):

@@ -94,6 +94,7 @@ class ReadVoxels(Stage):
             solid: NDArray[np.bool_] = (values < cut) if self.invert else (values >= cut)
             return solid.astype(np.uint8)
         labels = labels_of(values)
+        # whole numbers in reals are labels too
         whole = labels is not None and (labels == np.round(labels.astype(np.float64))).all()
         if (
             labels is not None

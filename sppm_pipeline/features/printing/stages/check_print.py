@@ -366,14 +366,10 @@ class Passes:
         )
         if self._throats is not None:
             voxel = math.prod(self.pitches["throats"])
-            for level in self._throats.finish():
-                self.throat_rows.append(
-                    {
-                        "diameter_mm": level.diameter,
-                        "room_mm3": level.room * voxel,
-                        "undrained_mm3": level.undrained * voxel,
-                    }
-                )
+            self.throat_rows += [
+                {"diameter_mm": d, "room_mm3": room * voxel, "undrained_mm3": undrained * voxel}
+                for d, room, undrained in self._throats.finish()
+            ]
             found["way_out_mm"] = self._depth.longest() * max(self.pitches["throats"])
             found["undrained_mm3"] = self.throat_rows[THROATS.index(1.0)]["undrained_mm3"]
         if self._thin is not None:
@@ -393,17 +389,12 @@ def _listed(found: Events, which: NDArray[np.bool_], stack: SliceStack) -> list[
     """The largest of some events in millimeters."""
     (px, py), h = stack.pixel_mm, stack.layer_mm
     ends = {0: "joined", 1: "never", 2: "at the plate", 3: "open at the top"}
-    rows = []
-    for i in np.flatnonzero(which)[:MAX_LISTED]:
-        place = (found.place[i, ::-1] + 0.5) * (px, py, h) + stack.origin_mm
-        rows.append(
-            {
-                "first_layer": int(found.birth[i]),
-                "last_layer": int(found.end[i]) - 1,
-                "end": ends[int(found.kind[i])],
-                "volume_mm3": float(found.volume[i] * px * py * h),
-                "largest_section_mm2": float(found.section[i] * px * py),
-                "place_mm": rounded(place),
-            }
-        )
-    return rows
+    return [
+        {
+            "first_layer": int(found.birth[i]), "last_layer": int(found.end[i]) - 1, "end": ends[int(found.kind[i])],
+            "volume_mm3": float(found.volume[i] * px * py * h),
+            "largest_section_mm2": float(found.section[i] * px * py),
+            "place_mm": rounded((found.place[i, ::-1] + 0.5) * (px, py, h) + stack.origin_mm),
+        }
+        for i in np.flatnonzero(which)[:MAX_LISTED]
+    ]  # fmt: skip

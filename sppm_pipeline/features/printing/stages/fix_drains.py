@@ -41,7 +41,8 @@ HIDDEN_COSTS = 0.5
 """The same for a hole that faces away from `toward`, for each millimeter of the part: twice what height can cost."""
 
 TRIES = 60
-"""Places that are drilled on the grid for a void before it is given up: a bound on the time, some 0.1 s each."""
+"""Places that are drilled on the grid for a void before it is given up, a heuristic: a bound on the time, as each takes
+two searches for components of the grid. Half as many give up more voids, twice as many take up to twice the time."""
 
 SMALLEST_SHARE = 2e-3
 """Of the void that is sealed before; what is less stays as a drop that no hole is worth."""

@@ -97,14 +97,9 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         np.empty(_MAX_CORNERS, np.uint8),
     )
     m, n, k = _split(faces, mixed, first, placed, surfaces, polygon, out)
-    return Split(
-        out.faces[:m],
-        out.on[:m],
-        out.points[:n].copy(),
-        out.keys[:n].copy(),
-        out.losers[:k].copy(),
-        out.lost[:k].copy(),
-    )
+    # copies of the short ones, so that the room for the most there could be is freed
+    points, keys, losers, lost = out.points[:n].copy(), out.keys[:n].copy(), out.losers[:k].copy(), out.lost[:k].copy()
+    return Split(out.faces[:m], out.on[:m], points, keys, losers, lost)
 
 
 @jit

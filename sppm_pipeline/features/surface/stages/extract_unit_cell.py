@@ -47,13 +47,7 @@ class UnitCell(Stage):
 
 
 def _unit_and_cells(field: ScalarField) -> tuple[ScalarField, NDArray[np.int64]]:
-    """The periodic cell, and the indices (k, 3) of the cells of the lattice.
-
-    Raises
-    ------
-    DesignError
-        If the cells differ.
-    """
+    """The periodic cell, and the indices (k, 3) of the cells of the lattice; DesignError if the cells differ."""
     if isinstance(field, Tiling):
         interior, planes, *_ = field.arrays.surrounded()
         cells = np.argwhere(interior >= 0)

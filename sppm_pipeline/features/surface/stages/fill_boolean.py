@@ -128,10 +128,7 @@ class BooleanFill(Stage):
 def _without_overlaps(domain: SurfaceMesh, limits: ManifoldLimits) -> SurfaceMesh:
     """The domain with its shells united where they overlap, which manifold3d would count twice.
 
-    Raises
-    ------
-    InputError
-        If one shell runs through itself, or a hollow of one lies in the solid of another.
+    InputError if one shell runs through itself, or a hollow of one lies in the solid of another.
     """
     from sppm_pipeline.services.mesh.measures import volume
     from sppm_pipeline.services.mesh.orientation import shells
