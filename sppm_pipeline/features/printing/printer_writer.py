@@ -222,14 +222,9 @@ class PrinterWriter(LayerWriter):
     def job(self, stack: SliceStack, findings: dict[str, Any]) -> Job:
         """All about the print; `findings` are those of the layers once all were taken."""
         return Job(
-            name=Path(self.path).stem,
-            printer=self._printer(stack),
-            resin=self.chosen_resin(),
-            layers=stack.shape[2],
-            layer_mm=stack.layer_mm,
-            gray=stack.gray,
-            volume_mm3=float(findings.get("solid_volume_mm3", 0.0)),
-        )
+            name=Path(self.path).stem, printer=self._printer(stack), resin=self.chosen_resin(), layers=stack.shape[2],
+            layer_mm=stack.layer_mm, gray=stack.gray, volume_mm3=float(findings.get("solid_volume_mm3", 0.0)),
+        )  # fmt: skip
 
     @staticmethod
     def _printer(stack: SliceStack) -> Printer:

@@ -115,13 +115,6 @@ def extract_in_child(arrays: Arrays, options: Mapping[str, Any]) -> tuple[Values
 
 def _run(function: str, arrays: Arrays, options: Values, limits: ManifoldLimits) -> NativeResult:
     return run_native(
-        function,
-        arrays,
-        options,
-        returns=_MESH,
-        distribution="manifold3d",
-        seconds=limits.seconds,
-        memory=limits.memory,
-        hint=_HINT,
-        progress=limits.progress,
-    )
+        function, arrays, options, returns=_MESH, distribution="manifold3d", seconds=limits.seconds,
+        memory=limits.memory, hint=_HINT, progress=limits.progress,
+    )  # fmt: skip

@@ -119,12 +119,9 @@ class VolumeMesh(Viewable):
     def summary(self) -> dict[str, Any]:
         """Nodes, cells, volume, and for a periodic cell its porosity."""
         summary: dict[str, Any] = {
-            "nodes": len(self.nodes),
-            "cells": len(self.cells),
-            "order": 1 if self.cells.shape[1] == 4 else 2,
-            "volume_mm3": self.volume,
-            "matched": self.matched,
-        }
+            "nodes": len(self.nodes), "cells": len(self.cells), "order": 1 if self.cells.shape[1] == 4 else 2,
+            "volume_mm3": self.volume, "matched": self.matched,
+        }  # fmt: skip
         if self.box is not None:
             summary["porosity"] = 1 - self.volume / float(np.prod(self.box[1] - self.box[0]))
         return summary

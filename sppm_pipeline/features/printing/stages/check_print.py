@@ -225,18 +225,12 @@ class CheckPrint(Stage):
         numbers |= passes.numbers() | self._job(stack, numbers["solid_mm3"])
         z = stack.origin_mm[2] + (np.arange(stack.shape[2]) + 1) * h
         layers = {
-            "layer": np.arange(stack.shape[2]),
-            "top_mm": z,
-            "area_mm2": area,
-            "sealed_mm2": curves["sealed"] * pixel,
-            "floating_mm2": curves["floating"] * pixel,
-            "islands_mm2": curves["islands"] * pixel,
-            "overhang_mm2": curves["overhang"] * pixel,
-            "components": curves["components"],
-            "largest_mm2": curves["largest"] * pixel,
-            "perimeter_mm": curves["edges_x"] * px + curves["edges_y"] * py,
+            "layer": np.arange(stack.shape[2]), "top_mm": z, "area_mm2": area, "sealed_mm2": curves["sealed"] * pixel,
+            "floating_mm2": curves["floating"] * pixel, "islands_mm2": curves["islands"] * pixel,
+            "overhang_mm2": curves["overhang"] * pixel, "components": curves["components"],
+            "largest_mm2": curves["largest"] * pixel, "perimeter_mm": curves["edges_x"] * px + curves["edges_y"] * py,
             "suction_n": curves["sealed"] * pixel * ATMOSPHERE,
-        }
+        }  # fmt: skip
         listed = {
             "traps": _listed(cups, cups.kind == NEVER, stack),
             "cups": _listed(cups, cups.kind != NEVER, stack),

@@ -158,14 +158,10 @@ class FixDrains(Stage):
             solid, traps, loose = drilled, now, left
         remaining = int((traps.sizes * voxel >= smallest).sum())
         context.report(
-            holes=len(holes),
-            trapped_before_mm3=float(before.sizes.sum() * voxel),
-            trapped_mm3=float(traps.sizes.sum() * voxel),
-            traps_left=remaining,
-            smallest_mm3=smallest,
-            clear_mm=clear,
+            holes=len(holes), trapped_before_mm3=float(before.sizes.sum() * voxel),
+            trapped_mm3=float(traps.sizes.sum() * voxel), traps_left=remaining, smallest_mm3=smallest, clear_mm=clear,
             grid_mm=world.spacing[0],
-        )
+        )  # fmt: skip
         if remaining:
             why = f"`most` allows {self.most} holes"
             if places == 0:

@@ -62,17 +62,9 @@ def place_vertices(vertices: NDArray[np.float64], samples: Samples) -> Placed:
     placed = Placed(vertices, np.full(n, -1, np.int64), np.full(n, BORDER, np.uint8), np.full(n, -1, np.int32))
     grid, crossings = samples.grid, samples.crossings
     _place(
-        *placed,
-        samples.field,
-        samples.domain,
-        samples.skin,
-        np.array(grid.origin),
-        np.array(grid.spacing),
-        np.array([*grid.shape, samples.start]),
-        crossings.edge,
-        crossings.share,
-        crossings.triangle,
-    )
+        *placed, samples.field, samples.domain, samples.skin, np.array(grid.origin), np.array(grid.spacing),
+        np.array([*grid.shape, samples.start]), crossings.edge, crossings.share, crossings.triangle,
+    )  # fmt: skip
     return placed
 
 

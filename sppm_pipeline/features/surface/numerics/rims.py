@@ -68,34 +68,18 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
     n_mixed = _mixed(faces, first, placed.on, placed.triangle, crossings.normals, mixed)
     room = len(faces) + 12 * n_mixed
     out = Split(
-        np.empty((room, 3), np.int32),
-        np.empty(room, np.uint8),
-        np.empty((6 * n_mixed, 3)),
-        np.empty(6 * n_mixed, np.int64),
-        np.empty(6 * n_mixed, np.int32),
-        np.empty(6 * n_mixed),
-    )
+        np.empty((room, 3), np.int32), np.empty(room, np.uint8), np.empty((6 * n_mixed, 3)),
+        np.empty(6 * n_mixed, np.int64), np.empty(6 * n_mixed, np.int32), np.empty(6 * n_mixed),
+    )  # fmt: skip
     surfaces = Surfaces(
-        samples.field,
-        samples.domain,
-        samples.skin,
-        np.array(grid.origin),
-        np.array(grid.spacing),
-        np.array([*grid.shape, samples.start]),
-        crossings.edge,
-        crossings.share,
-        crossings.triangle,
-        crossings.normals,
-        separations(),
-    )
+        samples.field, samples.domain, samples.skin, np.array(grid.origin), np.array(grid.spacing),
+        np.array([*grid.shape, samples.start]), crossings.edge, crossings.share, crossings.triangle,
+        crossings.normals, separations(),
+    )  # fmt: skip
     polygon = _Polygon(
-        np.empty(_MAX_CORNERS, np.int64),
-        np.empty(_MAX_CORNERS, np.int64),
-        np.empty((_MAX_CORNERS, 3)),
-        np.empty(_MAX_CORNERS, np.bool_),
-        np.empty((_MAX_CORNERS, 3), np.int64),
-        np.empty(_MAX_CORNERS, np.uint8),
-    )
+        np.empty(_MAX_CORNERS, np.int64), np.empty(_MAX_CORNERS, np.int64), np.empty((_MAX_CORNERS, 3)),
+        np.empty(_MAX_CORNERS, np.bool_), np.empty((_MAX_CORNERS, 3), np.int64), np.empty(_MAX_CORNERS, np.uint8),
+    )  # fmt: skip
     m, n, k = _split(faces, mixed, first, placed, surfaces, polygon, out)
     # copies of the short ones, so that the room for the most there could be is freed
     points, keys, losers, lost = out.points[:n].copy(), out.keys[:n].copy(), out.losers[:k].copy(), out.lost[:k].copy()

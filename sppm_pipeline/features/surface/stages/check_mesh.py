@@ -48,17 +48,10 @@ class CheckMesh(Stage):
         (),
         help="problems that end the run; the others are warnings",
         choices=(
-            "open",
-            "non_manifold",
-            "winding",
-            "self_intersections",
-            "components",
-            "shells",
-            "degenerate",
-            "duplicates",
+            "open", "non_manifold", "winding", "self_intersections", "components", "shells", "degenerate", "duplicates",
             "thin_walls",
         ),
-    )
+    )  # fmt: skip
 
     def check_options(self) -> None:
         if "thin_walls" in self.reject and self.thin is None:
@@ -159,36 +152,22 @@ def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
     """All measures under plain names."""
     m, walls = found.measures, found.walls
     numbers: dict[str, Any] = {
-        "triangles": m.faces,
-        "vertices": m.vertices,
-        "unused_vertices": found.unused_vertices,
-        "watertight": found.watertight,
-        "manifold": found.manifold,
-        "non_manifold_edges": m.edges.non_manifold,
-        "non_manifold_vertices": found.non_manifold_vertices,
-        "winding_consistent": m.edges.consistent,
-        "winding_outward": found.outward,
-        "triangles_to_turn": found.orientation.turned,
-        "one_sided_surfaces": found.orientation.one_sided,
-        "open_edges": m.edges.boundary,
-        "unmerged_vertices": found.unmerged_vertices,
-        "holes": len(found.boundary_loops.edges),
+        "triangles": m.faces, "vertices": m.vertices, "unused_vertices": found.unused_vertices,
+        "watertight": found.watertight, "manifold": found.manifold, "non_manifold_edges": m.edges.non_manifold,
+        "non_manifold_vertices": found.non_manifold_vertices, "winding_consistent": m.edges.consistent,
+        "winding_outward": found.outward, "triangles_to_turn": found.orientation.turned,
+        "one_sided_surfaces": found.orientation.one_sided, "open_edges": m.edges.boundary,
+        "unmerged_vertices": found.unmerged_vertices, "holes": len(found.boundary_loops.edges),
         "hole_edges": found.boundary_loops.edges[:MAX_LISTED],
         "hole_lengths_mm": found.boundary_loops.lengths[:MAX_LISTED],
-        "hole_sizes_mm": found.boundary_loops.sizes[:MAX_LISTED],
-        "components": m.components,
-        "euler_number": m.euler,
-        "genus": None if found.genus is None else int(found.genus.sum()),
-        "degenerate_triangles": m.degenerate,
-        "duplicate_triangles": found.duplicates,
-        "self_intersecting_triangles": int(found.intersections.faces.sum()),
+        "hole_sizes_mm": found.boundary_loops.sizes[:MAX_LISTED], "components": m.components, "euler_number": m.euler,
+        "genus": None if found.genus is None else int(found.genus.sum()), "degenerate_triangles": m.degenerate,
+        "duplicate_triangles": found.duplicates, "self_intersecting_triangles": int(found.intersections.faces.sum()),
         "self_intersecting_pairs": found.intersections.pairs,
         "self_intersections_complete": found.intersections.complete,
-        "volume_mm3": m.volume if found.watertight else None,
-        "area_mm2": m.area,
-        "lower_mm": m.low,
+        "volume_mm3": m.volume if found.watertight else None, "area_mm2": m.area, "lower_mm": m.low,
         "upper_mm": m.high,
-    }
+    }  # fmt: skip
     if found.genus is not None:
         numbers["genus_of_surfaces"] = np.sort(found.genus)[::-1][:MAX_LISTED]
     if found.shells is not None:

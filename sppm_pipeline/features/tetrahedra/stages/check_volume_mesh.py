@@ -57,17 +57,12 @@ class CheckVolumeMesh(Stage):
         faults: list[str] = []
         shape = quality(mesh.nodes, mesh.cells)
         context.report(
-            cells=len(mesh.cells),
-            nodes=len(mesh.nodes),
-            volume_mm3=shape.volume,
-            minimum_dihedral_degrees=shape.minimum_dihedral,
-            maximum_dihedral_degrees=shape.maximum_dihedral,
-            maximum_radius_ratio=shape.radius_ratio,
-            maximum_edge_ratio=shape.edge_ratio,
-            minimum_volume_mm3=shape.minimum_volume,
-            inverted=shape.inverted,
+            cells=len(mesh.cells), nodes=len(mesh.nodes), volume_mm3=shape.volume,
+            minimum_dihedral_degrees=shape.minimum_dihedral, maximum_dihedral_degrees=shape.maximum_dihedral,
+            maximum_radius_ratio=shape.radius_ratio, maximum_edge_ratio=shape.edge_ratio,
+            minimum_volume_mm3=shape.minimum_volume, inverted=shape.inverted,
             dihedral_histogram=dihedral_histogram(mesh.nodes, mesh.cells, BINS).tolist(),
-        )
+        )  # fmt: skip
         if shape.inverted:
             faults.append(f"{shape.inverted} cells have no positive volume")
         elif shape.minimum_dihedral < self.minimum_angle:

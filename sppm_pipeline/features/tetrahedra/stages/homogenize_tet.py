@@ -89,18 +89,11 @@ class HomogenizeTet(Stage):
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))
         try:
             found = homogenize_tetrahedra(
-                mesh.nodes,
-                mesh.cells,
-                mesh.box,
-                young,
-                poisson,
-                stand_in,
-                faces="collocation" if self.faces == "collocation" else "mortar",
-                face_tolerance=self.face_tolerance,
-                tolerance=self.residual,
-                iterations=self.iterations,
+                mesh.nodes, mesh.cells, mesh.box, young, poisson, stand_in,
+                faces="collocation" if self.faces == "collocation" else "mortar", face_tolerance=self.face_tolerance,
+                tolerance=self.residual, iterations=self.iterations,
                 progress=lambda done: context.progress(done, 6, "load cases"),
-            )
+            )  # fmt: skip
         except ValueError as error:
             raise InputError(f"{mesh.name} can't be homogenized: {error}", hint="see `check.volume_mesh`") from error
         self._refuse_loose(mesh, found.stiffness)
