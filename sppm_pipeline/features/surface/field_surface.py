@@ -225,7 +225,12 @@ class FieldSurface:
                 yield _FlatPiece(MeshPiece(vertices, faces, no_kinds), rims.points, no_vertices, no_volumes)
                 continue
             # faces of this piece have corners in the piece before
-            joined = placed if before is None else Placed(*map(np.concatenate, zip(before, placed, strict=True)))
+            joined = placed
+            if before is not None:
+                joined = Placed(
+                    np.concatenate([before.vertices, placed.vertices]), np.concatenate([before.edge, placed.edge]),
+                    np.concatenate([before.on, placed.on]), np.concatenate([before.triangle, placed.triangle]),
+                )  # fmt: skip
             split = split_rims(faces, first, joined, samples)
             piece = MeshPiece(vertices, rims.numbered(split), split.on)
             yield _FlatPiece(piece, rims.points, split.losers, split.lost)
