@@ -9,9 +9,9 @@ import pytest
 from scipy import ndimage
 
 from sppm_pipeline.features.printing.numerics.curing import CureThrough
-from sppm_pipeline.features.printing.numerics.depth import Depth
 from sppm_pipeline.features.printing.numerics.distance import Coarsened, StreamedDistance, coarse_factors
 from sppm_pipeline.features.printing.numerics.openings import ThinFeatures, Throats
+from sppm_pipeline.features.printing.numerics.routes import Depth
 
 
 def porous(shape, seed=1, share=0.5, sigma=2.0):

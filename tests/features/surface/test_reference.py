@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.features.surface.numerics.reference import marching_cubes_reference
+from sppm_pipeline.features.surface.stages.extract_marching_cubes import marching_cubes_reference
 from sppm_pipeline.services.mesh.marching_cubes import marching_cubes
 from sppm_pipeline.services.mesh.measures import edge_counts, measure_surface
 

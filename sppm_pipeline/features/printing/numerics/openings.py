@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.printing.numerics.depth import Depth
 from sppm_pipeline.features.printing.numerics.distance import Coarsened, StreamedDistance
+from sppm_pipeline.features.printing.numerics.routes import Depth
 from sppm_pipeline.features.printing.numerics.tracker import NEVER, Tracker
 from sppm_pipeline.method.connectivity.runs import find_runs
 

@@ -288,9 +288,9 @@ class Passes:
 
     def __init__(self, stage: CheckPrint, stack: SliceStack) -> None:
         from sppm_pipeline.features.printing.numerics.curing import CureThrough
-        from sppm_pipeline.features.printing.numerics.depth import Depth
         from sppm_pipeline.features.printing.numerics.distance import Coarsened, coarse_factors
         from sppm_pipeline.features.printing.numerics.openings import Coarse, ThinFeatures, Throats
+        from sppm_pipeline.features.printing.numerics.routes import Depth
         from sppm_pipeline.features.printing.numerics.scan import PrintScan
 
         h, shape = stack.layer_mm, stack.shape

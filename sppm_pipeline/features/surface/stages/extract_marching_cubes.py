@@ -16,6 +16,7 @@ from sppm_pipeline import (
     Length,
     Palette,
     Part,
+    ResourceError,
     ScalarField,
     Size,
     Stage,
@@ -185,7 +186,6 @@ def _by_reference(
 ) -> _Extracted:
     from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
     from sppm_pipeline.features.surface.numerics.placing import Samples, place_vertices
-    from sppm_pipeline.features.surface.numerics.reference import marching_cubes_reference
     from sppm_pipeline.method.part.crossings import Crossings
 
     (x, y, z), (h, _, _), _ = grid = surface.grid
@@ -208,3 +208,34 @@ def _by_reference(
     measures = StreamedMeasures(scale, np.array(origin))
     measures.add(vertices, faces, np.empty((0, 3)))
     return _Extracted((vertices, faces), (len(vertices), len(faces)), measures, sampled.findings)
+
+
+def marching_cubes_reference(
+    field: NDArray[np.float32],
+    level: float = 0.0,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Isosurface of (nz, ny, nx) samples by scikit-image: vertices (n, 3), faces (m, 3), wound outwards.
+
+    After Lewiner et al. (2003), independent of this program's own. Ambiguous faces are decided by the trilinear
+    interpolant instead. Samples equal to the level are raised to the next float32 above, where scikit-image would open
+    edges. ResourceError if scikit-image is not installed.
+    """
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError as error:
+        raise ResourceError(
+            "the reference extractor needs scikit-image", hint='pip install "sppm-pipeline[reference]"'
+        ) from error
+    samples = np.ascontiguousarray(field, np.float32)
+    level32 = np.float32(level)
+    if not samples.min() < level32 <= samples.max():
+        return np.empty((0, 3)), np.empty((0, 3), np.int32)  # scikit-image refuses a field without surface
+    samples = np.where(samples == level32, np.nextafter(level32, np.float32(np.inf)), samples)
+    vertices, faces, _, _ = marching_cubes(  # type: ignore[no-untyped-call]
+        samples, float(level32), gradient_direction="ascent", allow_degenerate=True
+    )
+    # In z, y, x taken as a right-handed frame these faces look into the solid; taken as x, y, z they are mirrored.
+    positions = np.asarray(origin) + vertices[:, ::-1].astype(np.float64) * np.asarray(spacing)
+    return positions, np.ascontiguousarray(faces, np.int32)

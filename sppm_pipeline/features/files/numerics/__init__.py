@@ -1,1 +1,0 @@
-"""Arrays read from files, made ready."""
