@@ -16,7 +16,7 @@ from sppm_pipeline.engine.plan.inputs import TableNames, missing_inputs
 from sppm_pipeline.engine.plan.planning import Drafts, Plan, draft_plan, wire_plan
 from sppm_pipeline.engine.plan.rates import History
 from sppm_pipeline.engine.plan.session import Row, Session
-from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.errors import ConfigError, SppmError
 
 MAX_CHECKED = 1000
 """Rows of a sweep that are planned before any work, 1 ms each; of more, evenly spread ones stand for all."""
@@ -27,21 +27,11 @@ changes the time of a check by some hundredths of a second."""
 
 
 class Checked(NamedTuple):
-    """A configuration without faults.
+    """A configuration without faults."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Without a row of the sweep.
-    rows : sequence of Row
-        All rows of the sweep; none of a single run.
-    estimates : list of PlanEstimate
-        Of the plan, or of rows that stand for all.
-    """
-
-    plan: Plan
-    rows: Sequence[Row]
-    estimates: list[PlanEstimate]
+    plan: Plan  # without a row of the sweep
+    rows: Sequence[Row]  # all rows of the sweep; none of a single run
+    estimates: list[PlanEstimate]  # of the plan, or of rows that stand for all
 
 
 def checked(
@@ -53,30 +43,11 @@ def checked(
     jobs: int = 1,
     history: History = NONE_SEEN,
 ) -> Checked:
-    """Check a configuration before any work.
+    """Check a configuration before any work; all errors are raised together, those of memory and disk if there are no
+    others.
 
-    Parameters
-    ----------
-    session : Session
-    until : str, optional
-        Id of the last stage that will run.
-    inputs : bool
-        Whether input files must be there.
-    folder : Path or None
-        Where the run will write, which must suffice, and so must the memory of this machine; None to estimate nothing.
-    jobs : int
-        Rows of a sweep that run at the same time.
-    history : mapping of entry of the table of rates to Seen
-        What this machine has seen.
-
-    Raises
-    ------
-    ConfigError
-        All that is wrong with the configuration.
-    ResourceError
-        If that is nothing, but the run can't fit.
-    PluginError
-        If a stage breaks its contract.
+    `inputs` says whether input files must be there, `folder` where the run will write, which must suffice, and so must
+    the memory of this machine; None estimates nothing. `jobs` rows of a sweep run at the same time.
     """
     rows, unread = read(session)
     drafts, unfit = plan(session)
@@ -85,10 +56,10 @@ def checked(
     if rows and not problems:
         problems = vary(session, wired, rows, until, inputs=inputs)
     estimates: list[PlanEstimate] = []
-    large: list[ResourceError] = []
+    late: list[SppmError] = []
     if folder is not None and not problems:
-        estimates, large = estimate(session, wired, rows, until, folder, jobs, history)
-    raise_problems([*problems, *large])
+        estimates, late = estimate(session, wired, rows, until, folder, jobs, history)
+    raise_problems([*problems, *late])
     return Checked(wired, rows, estimates)
 
 
@@ -149,11 +120,13 @@ def estimate(
     folder: Path,
     jobs: int = 1,
     history: History = NONE_SEEN,
-) -> tuple[list[PlanEstimate], list[ResourceError]]:
-    """Estimates of the run, or of evenly spread rows of its sweep, and an error if it can't fit."""
+) -> tuple[list[PlanEstimate], list[SppmError]]:
+    """Estimates of the run, or of evenly spread rows of its sweep; options that a run would refuse, else an error if
+    it can't fit."""
     if not rows:
         found = [estimate_plan(base, until=until, history=history)]
     else:
         step = -(-len(rows) // MAX_ESTIMATED)
         found = [estimate_plan(session.plan(row), until=until, history=history, of_sweep=True) for row in rows[::step]]
-    return found, unfit_problems(found, folder, runs=max(1, len(rows)), workers=jobs)
+    unfit: list[SppmError] = [error for one in found for stage in one.stages for error in stage.unfit]
+    return found, unfit or [*unfit_problems(found, folder, runs=max(1, len(rows)), workers=jobs)]

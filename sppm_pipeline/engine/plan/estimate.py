@@ -15,7 +15,7 @@ from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.rates import Cost, History, Seen, by_history, cost, remember
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
 from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
-from sppm_pipeline.errors import ResourceError, SppmError, described
+from sppm_pipeline.errors import ConfigError, ResourceError, SppmError, described
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import ONE, RecipeSize, Size
 
@@ -38,29 +38,15 @@ NONE_SEEN: History = {}
 
 @dataclass(frozen=True)
 class StageEstimate:
-    """One stage of a plan.
-
-    Attributes
-    ----------
-    step : Step
-    size : Size or None
-        None if it is unknown.
-    cost : Cost or None
-        With those of its recipes; None if the size or the rates are unknown.
-    rated : float
-        Seconds by the table alone, whatever the machine has seen; 0 if they are unknown.
-    resident : float
-        Bytes that the process holds at most while the stage runs.
-    unknown : tuple of str
-        Addresses of stages, of this one or of its recipes, that nothing is known of.
-    """
+    """One stage of a plan."""
 
     step: Step
-    size: Size | None
-    cost: Cost | None
-    rated: float
-    resident: float
-    unknown: tuple[str, ...]
+    size: Size | None  # None if it is unknown
+    cost: Cost | None  # with those of its recipes; None if the size or the rates are unknown
+    rated: float  # seconds by the table alone, whatever the machine has seen; 0 if they are unknown
+    resident: float  # bytes that the process holds at most while the stage runs
+    unknown: tuple[str, ...]  # addresses of stages, of this one or of its recipes, that nothing is known of
+    unfit: tuple[ConfigError, ...] = ()  # options, of this one or of its recipes, that a run would refuse
 
     @property
     def advice(self) -> str:
@@ -116,18 +102,7 @@ class PlanEstimate:
 def estimate_plan(
     plan: Plan, *, until: str | None = None, history: History = NONE_SEEN, of_sweep: bool = False
 ) -> PlanEstimate:
-    """Estimate a plan without running it.
-
-    Parameters
-    ----------
-    plan : Plan
-    until : str, optional
-        Id of the last stage that will run.
-    history : mapping of entry of the table of rates to Seen
-        What this machine has seen.
-    of_sweep : bool
-        Whether the plan is that of a row, after which stages of `after` run in the same process.
-    """
+    """Estimate a plan without running it; of a row of a sweep, the stages of `after` run in the same process."""
     steps = plan.until(until)
     entries = len(steps) + sum(len(group) for group in plan.recipes.values())
     program = _program(entries)
@@ -172,7 +147,11 @@ def estimate_steps(
     found: list[StageEstimate] = []
     for step, done in zip(steps, last_uses(steps), strict=True):
         inner: list[tuple[float, StageEstimate]] = []
-        size = sizes[step.id] = _size(step, sizes, recipes, palette, history, inner)
+        made = _size(step, sizes, recipes, palette, history, inner)
+        size = sizes[step.id] = None if isinstance(made, ConfigError) else made
+        # a stage with `vary` replaces options of its recipe, whose own values then need not be allowed
+        unfit = () if hasattr(step.stage, "vary") else tuple(error for _, stage in inner for error in stage.unfit)
+        unfit = (*unfit, made) if isinstance(made, ConfigError) else unfit
         key = step.stage.rated_as
         own = None if size is None else cost(key, size.units())
         unknown = tuple(address for _, stage in inner for address in stage.unknown)
@@ -189,7 +168,7 @@ def estimate_steps(
             seconds, resident = by_history(history.get(key, ()), rated, resident + memory)
             total = Cost(seconds, memory, own.kept, disk)
         kept[step.id] = total.kept if total else 0.0
-        found.append(StageEstimate(step, size, total, rated, resident, unknown))
+        found.append(StageEstimate(step, size, total, rated, resident, unknown, unfit))
         for id_ in done:
             kept.pop(id_, None)
     return tuple(found)
@@ -215,11 +194,12 @@ def _size(
     palette: Palette,
     history: History,
     inner: list[tuple[float, StageEstimate]],
-) -> Size | None:
-    """The size that a stage estimates; errors do not keep it from running, but mistakes trigger a warning.
+) -> Size | ConfigError | None:
+    """The size that a stage estimates, or the error of options that do not fit what it is given; None if unknown.
 
-    Errors of the house and of the system, arithmetic on odd numbers and `LookupError` say that a size is unknown, and
-    so does anything that follows from an input of unknown size.
+    Other errors do not keep a stage from running: an `SppmError`, errors of the system, arithmetic on odd numbers and
+    `LookupError` say that a size is unknown, and so does anything that follows from an input of unknown size. What is
+    left is a mistake in the stage, and triggers a warning.
     """
 
     def recipe_size(name: str) -> RecipeSize:
@@ -239,13 +219,18 @@ def _size(
     unknown = {port: Size() if port in inputs else None for port in step.inputs}
     inputs |= {port: (sizes.get(source) or unknown[port]) if source else None for port, source in step.inputs.items()}
     made_by = {port: recipe_size(name) for port, name in step.recipes.items()}
+    follows = any(source is not None and sizes.get(source) is None for source in step.inputs.values())
     try:
         size = step.stage.estimate(palette, **{**step.signature.gathered(inputs), **made_by})
         valid = isinstance(size, Size) and all(math.isfinite(n) and n >= 0 for n in size.units().values())
+    except ConfigError as error:
+        if follows:
+            return None
+        error.where, error.stage = error.where or step.where, error.stage or step.address
+        return error
     except (SppmError, ArithmeticError, OSError, MemoryError):
         return None
     except Exception as error:
-        follows = any(source is not None and sizes.get(source) is None for source in step.inputs.values())
         if type(error) is not LookupError and not follows:
             warnings.warn(
                 f"the estimate of {step.address!r} ({step.stage.name}) raised {described(error)}; this is "
@@ -268,20 +253,9 @@ def unfit_problems(
 ) -> list[ResourceError]:
     """A `ResourceError` if memory or disk will not suffice, with what to change.
 
-    Parameters
-    ----------
-    estimates : sequence of PlanEstimate
-        Of the run, or of rows that stand for all of a sweep.
-    folder : Path
-        The run directory, which need not exist.
-    runs : int
-        Runs that write into it.
-    workers : int
-        Runs at the same time.
-    crew : int
-        Worker processes of this machine beside a single run, which take as much as a stage that hands them work.
-    memory : (bytes or None, words), optional
-        The limit, and what sets it; that of this machine if omitted.
+    `runs` runs write into `folder`, which need not exist, `workers` at the same time; the estimates are of rows that
+    stand for all. `crew` worker processes of this machine, beside a single run, take as much as a stage that hands them
+    work. `memory` is the limit in bytes, and what sets it; that of this machine if omitted.
     """
     limit, words = memory or allowed_memory()
     workers = min(workers, runs)
