@@ -56,18 +56,10 @@ class FolderLock:
         self.holder = ""
 
     def acquire(self, *, wait: bool = False) -> bool:
-        """Take the lock; False if another process holds it.
+        """Take the lock; False if another process holds it, `FileNotFoundError` if the folder is not there any more.
 
-        Parameters
-        ----------
-        wait : bool
-            Whether to wait until it is given back. It is False even then if the lock is a claim file whose process
-            gives no sign of life, for it may be gone.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder is not there, or not there any more.
+        With `wait` it waits until the lock is given back. It is False even then if the lock is a claim file whose
+        process gives no sign of life, for it may be gone.
         """
         if fcntl is None:
             return self._claimed(wait)

@@ -21,13 +21,7 @@ from sppm_pipeline.stage import FAMILIES, Stage
 
 
 class StageFunction:
-    """A stage as a function; its keywords are the stage's options.
-
-    Parameters
-    ----------
-    name : str
-        ``family.name``.
-    """
+    """A stage as a function; its keywords are the stage's options."""
 
     def __init__(self, name: str) -> None:
         cls = registry().get(name)
@@ -114,14 +108,7 @@ def _entry(name: str) -> Callable[..., dict[str, Any]]:
 
 
 class Family:
-    """The stages of a family as attributes.
-
-    Parameters
-    ----------
-    name : str
-    make : function of a stage's name
-        Makes the attribute.
-    """
+    """The stages of a family as attributes; `make` makes one from a stage's full name."""
 
     def __init__(self, name: str, make: Callable[[str], Any]) -> None:
         self._name = name

@@ -29,13 +29,7 @@ _UNITS |= {"kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40, "k": 10**3, "
 
 
 def parse_size(text: str) -> int:
-    """Bytes from ``5GB``, ``800 MB``, ``2GiB`` or a bare number.
-
-    Raises
-    ------
-    ValueError
-        If it is none of these.
-    """
+    """Bytes from ``5GB``, ``800 MB``, ``2GiB`` or a bare number; else `ValueError`."""
     stripped = text.strip().lower()
     digits = stripped.rstrip("abcdefghijklmnopqrstuvwxyz ")
     unit = stripped[len(digits) :].strip()
@@ -221,13 +215,7 @@ def _vouched(folder: Path, by: str) -> Path:
 
 
 def cache_cap() -> int:
-    """Bytes that the cache may take.
-
-    Raises
-    ------
-    ConfigError
-        If ``SPPM_CACHE_CAP`` is no size.
-    """
+    """Bytes that the cache may take; `ConfigError` if ``SPPM_CACHE_CAP`` is no size."""
     text = os.environ.get(SIZE)
     if not text:
         return CAP

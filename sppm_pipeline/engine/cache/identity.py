@@ -95,14 +95,8 @@ def environment(libraries: tuple[str, ...] = (), plugins: tuple[str, ...] = ()) 
     """Versions of Python and the libraries in use, and the kind of processor.
 
     Threads do not count, as results do not depend on them. The processor does: compiled kernels and BLAS add in an
-    order that depends on how wide its registers are.
-
-    Parameters
-    ----------
-    libraries : tuple of str
-        Distributions that count besides those that every stage uses.
-    plugins : tuple of str
-        Distributions whose requirements count as well.
+    order that depends on how wide its registers are. `libraries` count besides those that every stage uses, and so do
+    requirements of the distributions `plugins`.
     """
     names = {*_LIBRARIES, *libraries}.union(*map(requirements_of, plugins))
     found = {"python": platform.python_version(), "processor": _processor()}
@@ -127,12 +121,9 @@ def _processor() -> str:
 def arithmetic() -> dict[str, str | None]:
     """Dependencies of the last digits of numbers besides versions, for the run record.
 
-    Returns
-    -------
-    dict
-        ``processor``, its name as the system says it, and ``instructions``, a digest of what it can do, which is what
-        compiled kernels are made for; ``numba_target``, None in a process that compiled nothing; ``blas``, the linear
-        algebra below numpy, which chooses its code by the processor; and environment variables that change them.
+    These are ``processor``, its name as the system says it, and ``instructions``, a digest of what it can do, which is
+    what compiled kernels are made for; ``numba_target``, None in a process that compiled nothing; ``blas``, the linear
+    algebra below numpy, which chooses its code by the processor; and environment variables that change them.
     """
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
     target = None

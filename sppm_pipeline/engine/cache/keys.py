@@ -59,17 +59,8 @@ def ingredients_of(
     inputs: Mapping[str, str | None],
     files: InputFiles,
 ) -> dict[str, Any] | None:
-    """All dependencies of the result of a step but the seed; None if they are unknown.
-
-    Parameters
-    ----------
-    step : Step
-    recipes : mapping of recipe name to sequence of Step
-    path : tuple of str
-        Path of the step's random numbers.
-    inputs : mapping of port to key
-        Keys of the results that it is handed; None for open ports.
-    files : InputFiles
+    """All dependencies of the result of a step but the seed; None if they are unknown. `path` is that of its random
+    numbers, `inputs` keys of the results that it is handed, None for open ports.
     """
     used: list[Step] = []
     described = _described(step, recipes, files, used)

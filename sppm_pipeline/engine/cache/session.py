@@ -48,15 +48,8 @@ Warn = Callable[[str | None, str], None]
 class CacheSession:
     """Finds and keeps the results of one run.
 
-    Parameters
-    ----------
-    store : Store
-    warn : function of (stage id or None, message)
-        Called once if nothing can be kept, and for every damaged entry.
-    seed : int
-    recipes : mapping of recipe name to sequence of Step
-    about : str
-        Name of the configuration, under which the ingredients of its last keys are remembered; empty for none.
+    `warn` is called, with a stage id or None and a message, once if nothing can be kept and for every damaged entry.
+    The ingredients of the last keys are remembered under the name of the configuration, `about`, if there is one.
     """
 
     def __init__(
@@ -183,20 +176,8 @@ class CacheSession:
         seconds: float,
         drew: bool,
     ) -> None:
-        """Keep what a step made: always the facts, and the artifact and the files if that is cheap against making them.
-
-        Parameters
-        ----------
-        step : Step
-        facts : mapping
-            What the run record says.
-        made : artifact or None
-        inputs : mapping of port to artifact
-        outputs : sequence of (name, path)
-        seconds : float
-            What it cost.
-        drew : bool
-            Whether the seed had a part in it.
+        """Keep what a step made: always the facts of the run record, and the artifact and the files if that is cheap
+        against making them, which took `seconds`. `drew` says whether the seed had a part in it.
         """
         ingredients = self._ingredients.get(step.id)
         if ingredients is None:
@@ -313,14 +294,8 @@ def _size_of(outputs: Sequence[tuple[str, Path]]) -> tuple[int, int]:
 
 
 def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, str]]:
-    """For each stage of the pipeline, whether its result is kept, and in words since when or why not.
-
-    Parameters
-    ----------
-    plan : Plan
-    store : Store
-    about : str
-        Name under which the last run was remembered; see `CacheSession`.
+    """For each stage of the pipeline, whether its result is kept, and in words since when or why not; `about` as for
+    `CacheSession`.
     """
     cache = CacheSession(store, lambda stage, message: None, seed=plan.seed, recipes=plan.recipes)
     recent = store.read_text(recent_name(about)) or {}

@@ -43,19 +43,11 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class Entry:
-    """One kept result.
-
-    Attributes
-    ----------
-    key : str
-    folder : Path
-    manifest : mapping
-        `facts`, `ingredients`, `seconds` and what is stored; see `Store.put`.
-    """
+    """One kept result."""
 
     key: str
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Mapping[str, Any]  # `facts`, `ingredients`, `seconds` and what is stored; see `Store.put`
 
     @property
     def facts(self) -> Mapping[str, Any]:
@@ -83,14 +75,8 @@ class Entry:
 
 
 class Store:
-    """A cache folder.
-
-    Parameters
-    ----------
-    root : Path
-        Need not exist.
-    cap : int
-        Bytes that it may take; more is removed after a run, what was not used for longest first.
+    """A cache folder, which need not exist, of at most `cap` bytes; more is removed after a run, what was not used for
+    longest first.
     """
 
     def __init__(self, root: Path, cap: int = CAP) -> None:
@@ -108,13 +94,7 @@ class Store:
         return self.root / "entries" / key[:2] / key
 
     def find(self, key: str, *, touch: bool = True) -> Entry | None:
-        """The entry of a key, or None. A manifest that is not sound is removed with its entry.
-
-        Raises
-        ------
-        DamagedError
-            If there was an entry, but its manifest was damaged; it is gone now.
-        """
+        """The entry of a key, or None; a damaged one is removed, and raises `DamagedError`."""
         folder = self.place(key)
         try:
             data = (folder / MANIFEST).read_bytes()
@@ -133,31 +113,11 @@ class Store:
         return Entry(key, folder, manifest)
 
     def load(self, entry: Entry) -> Any:
-        """The artifact of an entry.
-
-        Raises
-        ------
-        DamagedError
-            If a byte of it has changed.
-        OSError
-            If it is not there any more.
-        """
+        """The artifact of an entry; `DamagedError` if a byte of it has changed, `OSError` if it is not there any more."""
         return load_value(entry.folder, entry.files())
 
     def restore(self, entry: Entry, claim: Callable[[str], Path]) -> None:
-        """Write the outputs of an entry again.
-
-        Parameters
-        ----------
-        entry : Entry
-        claim : function
-            Gives the path to write to for the name of an output.
-
-        Raises
-        ------
-        DamagedError, OSError
-            As `load`.
-        """
+        """Write the outputs of an entry again, each to the path that `claim` gives for its name; raises as `load`."""
         outputs = entry.manifest["outputs"]
         staged = {name: claim(name) for name in outputs["names"]}
         for name in outputs["folders"]:
@@ -185,26 +145,11 @@ class Store:
         outputs: Sequence[tuple[str, Path]] = (),
         durable: bool = False,
     ) -> None:
-        """Keep a result; if the key has an entry that holds as much already, that stays.
+        """Keep a result, with outputs as (name, path); if the key has an entry that holds as much already, that stays.
 
-        Parameters
-        ----------
-        key : str
-        manifest : mapping
-            JSON-ready; `key`, `format`, `value` and `outputs` are added.
-        value : artifact, optional
-        outputs : sequence of (name, path)
-            Finished files and folders.
-        durable : bool
-            Whether it is worth waiting for the disk; without it an entry that a power cut damages is noticed by its
-            digests.
-
-        Raises
-        ------
-        OSError
-            If there is no space, or no permission.
-        NotStorable
-            If the value can't be written.
+        `key`, `format`, `value` and `outputs` are added to the JSON-ready manifest. `durable` waits for the disk;
+        without it an entry that a power cut damages is noticed by its digests. Raises `OSError` if there is no space or
+        permission, `NotStorable` if the value can't be written.
         """
         fresh = self._fresh_folder()
         try:

@@ -144,12 +144,8 @@ def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
 
 
 def commands_of_plugins(*, load: bool = True) -> tuple[dict[str, tuple[Plugin, Command]], list[Plugin]]:
-    """The verbs of installed plugins, each with its plugin, and the plugins that failed.
-
-    Raises
-    ------
-    PluginError
-        If a plugin breaks the contract, for instance by taking the name of a built-in verb.
+    """The verbs of installed plugins, each with its plugin, and the plugins that failed; `PluginError` if one breaks
+    the contract, for instance by taking the name of a built-in verb.
     """
     from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
 

@@ -62,15 +62,8 @@ class Waiting(Monitor):
 
 
 class CompileAhead:
-    """Child processes that compile kernels.
-
-    Parameters
-    ----------
-    kernels : sequence of Kernel
-    processes : int
-    ids : dict of stage id to stage name
-    failed : function of two str, optional
-        Called for each kernel that could not be compiled, and why.
+    """Child processes that compile kernels; `ids` are stage names by id, `failed` is called with each kernel that could
+    not be compiled, and why.
     """
 
     def __init__(
@@ -111,13 +104,8 @@ class CompileAhead:
             self._changed.notify_all()
 
     def wait(self, stage: str | None, notify: Callable[[int, int, float], None]) -> None:
-        """Wait for the kernels of a stage, by its id, or of all stages.
-
-        Parameters
-        ----------
-        stage : str or None
-        notify : function of two int and a float
-            Called at each change with the number of kernels that are done, of all kernels, and their share of the time.
+        """Wait for the kernels of a stage, by its id, or of all stages; `notify` is called at each change with the
+        number of kernels that are done, of all kernels, and their share of the time.
         """
         name = None if stage is None else self._ids.get(stage, stage)
         needed = [future for kernel, future in self._futures if name is None or name in kernel.stages]

@@ -152,13 +152,7 @@ def _built_in(verb: str) -> _Verb | None:
 
 
 def _of_plugin(verb: str, words: list[str]) -> _Verb:
-    """A verb from a plugin; plugins are loaded only for a verb that is not built in.
-
-    Raises
-    ------
-    ConfigError
-        If no plugin supplies it.
-    """
+    """A verb from a plugin; plugins are loaded only for a verb that is not built in."""
     from sppm_pipeline.engine.cli.arguments import commands_of_plugins
     from sppm_pipeline.engine.cli.commands import built_in_commands
     from sppm_pipeline.engine.config.problems import listed, nearest

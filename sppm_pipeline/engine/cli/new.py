@@ -20,21 +20,11 @@ kind."""
 
 
 class Kind(NamedTuple):
-    """A kind of plugin.
+    """A kind of plugin."""
 
-    Attributes
-    ----------
-    family : str
-        Of the stage.
-    place : str
-        Module and class of the stage.
-    purpose : str
-        What the example does.
-    """
-
-    family: str
-    place: str
-    purpose: str
+    family: str  # of the stage
+    place: str  # module and class of the stage
+    purpose: str  # what the example does
 
 
 KINDS = {

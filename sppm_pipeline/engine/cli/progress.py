@@ -42,19 +42,8 @@ _RED, _GREEN, _YELLOW = 31, 32, 33
 
 
 class ProgressLines(Waiting):
-    """Shows the events of a run.
-
-    Parameters
-    ----------
-    stream : text stream
-    verbose : bool
-        A line with date and time for each event, and no bar.
-    quiet : bool
-        Nothing but warnings.
-    log : text stream, optional
-        Gets these lines as well, whatever is shown.
-    clock : function
-        Seconds.
+    """Shows the events of a run: with `verbose` a line with date and time for each and no bar, with `quiet` only
+    warnings. `log` gets these lines as well, whatever is shown; `clock` gives seconds.
     """
 
     def __init__(

@@ -65,29 +65,16 @@ class Configuration:
 
 @dataclass(frozen=True)
 class StageEntry:
-    """One stage of a pipeline or recipe as written, parameters put in.
-
-    Attributes
-    ----------
-    id : str
-    recipe : str or None
-        The recipe it belongs to; None in the pipeline itself.
-    stage : Node
-        Its `value` is the stage's name.
-    explicit_id : bool
-    options : dict of option name to Entry
-    sources, recipes : Node or None
-        What `from` and `recipe` say.
-    """
+    """One stage of a pipeline or recipe as written, parameters put in."""
 
     id: str
-    recipe: str | None
-    stage: Node
+    recipe: str | None  # the recipe it belongs to; None in the pipeline itself
+    stage: Node  # its `value` is the stage's name
     where: Position
     explicit_id: bool
     options: Mapping[str, Entry]
-    sources: Node | None
-    recipes: Node | None
+    sources: Node | None  # what `from` says
+    recipes: Node | None  # what `recipe` says
 
     @property
     def name(self) -> str:
@@ -105,21 +92,11 @@ class StageEntry:
 
 
 def parse_configuration(root: Node, path: Path, base: str | Path) -> tuple[Configuration, Problems]:
-    """The top level of a document, and what is wrong with it.
+    """The top level of a document, and what is wrong with it; `base` is the folder that the key `folder` is relative
+    to.
 
-    Parameters
-    ----------
-    root : Node
-    path : Path
-        The file, or the name of what was not read from a file.
-    base : str or Path
-        The folder that the key `folder` is relative to.
-
-    Raises
-    ------
-    ConfigError
-        If the format is another, or params, recipes or the pipeline can't be read, so that the rest would only give
-        errors that follow from it.
+    Raises `ConfigError` if the format is another, or params, recipes or the pipeline can't be read, so that the rest
+    would only give errors that follow from it.
     """
     if not isinstance(root.value, dict):
         raise ConfigError("a configuration is a map that starts with `sppm: 1`", where=root.where)

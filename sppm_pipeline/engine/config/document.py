@@ -54,19 +54,11 @@ class Override(Position):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A value of the document.
+    """A value of the document."""
 
-    Attributes
-    ----------
-    value : None, bool, int, float, str, list of Node, or dict of str to Entry
-    where : Position
-    param : str or None
-        The parameter whose value stands here.
-    """
-
-    value: Any
+    value: Any  # None, bool, int, float, str, list of Node, or dict of str to Entry
     where: Position
-    param: str | None = None
+    param: str | None = None  # the parameter whose value stands here
 
     @property
     def has_param(self) -> bool:
@@ -89,12 +81,8 @@ def read_yaml(path: Path) -> Node:
 def yaml_text(path: Path) -> str:
     """The text of a configuration file, or of the run record in which the configuration is.
 
-    Raises
-    ------
-    ConfigError
-        If the file does not exist, is no UTF-8, breaks YAML's syntax or passes a limit.
-    ResourceError
-        If it can't be read.
+    Raises `ConfigError` if there is no such file, it is no UTF-8 or it is too large, `ResourceError` if it can't be
+    read.
     """
     try:
         # opening a pipe would wait for a writer for ever
@@ -138,17 +126,8 @@ def as_node(value: Any, where: Position) -> Node:
 def compose(value: Mapping[str, Any], name: str) -> Node:
     """Plain Python values as the tree of a document, under the same limits as a file.
 
-    Parameters
-    ----------
-    value : mapping
-        Of None, bool, int, float, str, `pathlib.Path`, `Length`, numpy scalars, lists, tuples and mappings.
-    name : str
-        What positions show, with the path to the value: ``name: pipeline[2].count``.
-
-    Raises
-    ------
-    ConfigError
-        If a value is of another type, or a limit is passed.
+    Allowed are None, bool, int, float, str, `pathlib.Path`, `Length`, numpy scalars, lists, tuples and mappings.
+    Positions show `name` with the path to the value: ``name: pipeline[2].count``.
     """
     node = _composed(value, name, "", 0)
     if count_nodes(node) > MAX_NODES:

@@ -56,13 +56,7 @@ _UNPRINTABLE = re.compile(
 
 
 def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
-    """The text of a configuration file.
-
-    Raises
-    ------
-    ConfigError
-        If it is too large or no UTF-8, with line and column.
-    """
+    """The text of a configuration file; `ConfigError` with line and column if it is too large or no UTF-8."""
     if len(data) > MAX_BYTES and not is_record:
         raise ConfigError(
             f"the file is larger than {MAX_BYTES >> 10} KiB, which no configuration needs", where=Position(file, 1, 1)
@@ -84,20 +78,8 @@ def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
 
 
 def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None:
-    """Refuse what need not be parsed to be refused.
-
-    Parameters
-    ----------
-    text : str
-    file : str
-        Name that positions show.
-    fixed : Position, optional
-        The place of all of the text, for values given on the command line.
-
-    Raises
-    ------
-    ConfigError
-        At the line and column of the first offence.
+    """Refuse, at line and column, what need not be parsed to be refused; `fixed` is the place of all of a text of the
+    command line.
     """
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()

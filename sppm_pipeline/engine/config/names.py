@@ -31,10 +31,8 @@ _FORBIDDEN = re.compile(r'[<>:"|?*\t\n\x85\u2028\u2029]')
 def output_parts(name: str) -> tuple[str, ...]:
     """The parts of an output's name.
 
-    Raises
-    ------
-    ConfigError
-        If the name leaves the run directory, is kept for the run itself, or can't be a file's name everywhere.
+    Raises `ConfigError` if the name leaves the run directory, is kept for the run itself, or can't be a file's name
+    everywhere.
     """
     posix = PurePosixPath(name.replace("\\", "/"))
     parts = posix.parts
@@ -92,11 +90,8 @@ def collide(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
 
 
 def clashes(claims: Iterable[tuple[str, str, Position]]) -> Problems:
-    """Outputs of different stages that are one file, or of which one lies in the other.
-
-    Parameters
-    ----------
-    claims : iterable of (address of the stage, name of the output, place in the configuration)
+    """Outputs of different stages that are one file, or of which one lies in the other; claims are (address of the
+    stage, name of the output, place in the configuration).
     """
     problems: Problems = []
     seen: dict[tuple[str, ...], tuple[str, str]] = {}

@@ -34,22 +34,12 @@ Folder = typing.Callable[[Any], Path]
 
 @dataclass(frozen=True)
 class Option:
-    """An option as its stage declares it.
-
-    Attributes
-    ----------
-    name : str
-    kind : type or type form
-        bool, int, float, str, Path, Length, a tuple of those, or a union.
-    spec : OptionSpec
-    default : Any
-        `dataclasses.MISSING` if the option is required.
-    """
+    """An option as its stage declares it."""
 
     name: str
-    kind: Any
+    kind: Any  # bool, int, float, str, Path, Length, a tuple of those, or a union
     spec: OptionSpec
-    default: Any
+    default: Any  # `dataclasses.MISSING` if the option is required
 
     @property
     def required(self) -> bool:
@@ -59,12 +49,8 @@ class Option:
 
 @functools.cache
 def options_of(cls: type[Stage]) -> dict[str, Option]:
-    """The options a stage declares, in the order of its fields.
-
-    Raises
-    ------
-    PluginError
-        If a field is not declared with `option`, or has a type that YAML can't express.
+    """The options a stage declares, in the order of its fields; `PluginError` if a field is not declared with `option`
+    or has a type that YAML can't express.
     """
     try:
         hints = typing.get_type_hints(cls)
@@ -143,18 +129,10 @@ def _check_kind(kind: Any, name: str) -> None:
 def parse_options(
     cls: type[Stage], given: Mapping[str, Entry], where: Any, folder: Folder, *, stage: str
 ) -> tuple[dict[str, Any], Problems]:
-    """Values for the constructor of `cls`; complete if nothing is wrong.
+    """Values for the constructor of `cls`, complete if nothing is wrong.
 
-    Parameters
-    ----------
-    cls : type of Stage
-    given : mapping of option name to Entry
-    where : Position
-        The place of the stage, shown for options that are missing.
-    folder : callable
-        From a value's position to the folder relative paths start from.
-    stage : str
-        The stage's address, for messages.
+    `where` is the place of the stage, shown for options that are missing; `folder` leads from a value's position to the
+    folder that relative paths start from.
     """
     declared = options_of(cls)
     values = {}
@@ -180,14 +158,9 @@ def parse_options(
 
 
 def parse_typed(option: Option, value: Any, folder: Path) -> Any:
-    """`value` as the option's type, within its bounds.
+    """`value` as the option's type, within its bounds; else `ValueError` with the value and what is allowed.
 
     Values that have the type already (`Length`, `Path`, tuples) pass, so that stages may set options of recipes.
-
-    Raises
-    ------
-    ValueError
-        With the value and what is allowed.
     """
     members = _members(option.kind)
     if value is None:

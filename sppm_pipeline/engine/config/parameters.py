@@ -24,17 +24,10 @@ MAX_ROWS = 100_000
 
 @dataclass(frozen=True)
 class Overrides:
-    """Changes that the command line makes in a configuration, as plain text.
+    """Changes that the command line makes in a configuration, as plain text."""
 
-    Attributes
-    ----------
-    params : tuple of "name=value"
-    options : tuple of "stage.option=value"
-    seed : int or None
-    """
-
-    params: tuple[str, ...] = ()
-    options: tuple[str, ...] = ()
+    params: tuple[str, ...] = ()  # "name=value"
+    options: tuple[str, ...] = ()  # "stage.option=value"
     seed: int | None = None
 
 
@@ -63,20 +56,11 @@ def _unknown(message: str, params: Mapping[str, Entry], name: str, where: Positi
 
 
 class Substituted(NamedTuple):
-    """Lists of stages with parameters put in.
-
-    Attributes
-    ----------
-    groups : dict of name to Node
-    used : set of str
-        Parameters that were put in.
-    unread : set of Position
-        Places of values that could not be read; further errors there would only be consequences.
-    """
+    """Lists of stages with parameters put in."""
 
     groups: dict[str, Node]
-    used: set[str]
-    unread: set[Position]
+    used: set[str]  # parameters that were put in
+    unread: set[Position]  # places of values that could not be read; further errors there would only be consequences
 
 
 def put_in(groups: Mapping[str, Node], params: Mapping[str, Entry]) -> tuple[Substituted, Problems]:
@@ -183,13 +167,8 @@ def _matching(entries: Sequence[StageEntry], target: str) -> list[int]:
 def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]:
     """The rows of a sweep: of a grid with its last parameter changing fastest, of a table as written.
 
-    In a grid, ``{from: 1, to: 50}`` stands for the integers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for
-    every fifth.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is unknown, a list is empty, or there are too many rows.
+    In a grid, ``{from: 1, to: 50}`` stands for the integers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for every
+    fifth. Raises `ConfigError` if a parameter is unknown, a list is empty, or there are too many rows.
     """
     problems: Problems = []
     rows: list[dict[str, Entry]] = []

@@ -13,13 +13,7 @@ Problems = list[ConfigError]
 
 
 def raise_problems(problems: Iterable[SppmError]) -> None:
-    """Raise what was found, each message once, in the order of the file; nothing if there was nothing.
-
-    Raises
-    ------
-    SppmError
-        The only error, or a `ConfigErrors` of all.
-    """
+    """Raise what was found, each message once, in the order of the file: the only error, or a `ConfigErrors` of all."""
     unique = {str(one): one for error in problems for one in getattr(error, "errors", (error,))}
     ordered = sorted(
         unique.values(), key=lambda e: (e.where.file, e.where.line, e.where.column) if e.where else ("", 0, 0)

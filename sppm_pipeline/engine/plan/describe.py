@@ -156,13 +156,8 @@ def _flow(value: Any) -> str:
 
 
 def explain_plan(plan: Plan, reasons: Mapping[str, tuple[bool, str]] | None = None) -> str:
-    """Description of each stage of a plan, with its options, inputs and the path of its random numbers.
-
-    Parameters
-    ----------
-    plan : Plan
-    reasons : mapping of id to (kept, words), optional
-        Whether the result of a stage of the pipeline is in the cache, and why not.
+    """Description of each stage of a plan, with its options, inputs and the path of its random numbers; `reasons` say
+    whether results are in the cache, see `reasons_of`.
     """
     lines = [f"{plan.name}: seed {plan.seed}"]
     if plan.params:

@@ -19,13 +19,8 @@ OWN_COLUMNS = ("run", "status", "error")
 
 
 def missing_inputs(plan: Plan, steps: Sequence[Step]) -> Problems:
-    """An error for each input file that is not there or would be read without end, of the stages that run.
-
-    Parameters
-    ----------
-    plan : Plan
-    steps : sequence of Step
-        Those of its pipeline that run; after all of them, the stages of `after` do.
+    """An error for each input file that is not there or would be read without end, of `steps` that run; after all of
+    the pipeline, the stages of `after` do.
     """
     used = [*steps, *(plan.after if len(steps) == len(plan.steps) else ())]
     handed: dict[str, None] = {}
@@ -53,12 +48,8 @@ def _near(path: Path) -> str | None:
 
 
 class TableNames:
-    """Names that the table of a sweep can have: columns, as far as stages declare numbers, and files of its runs.
-
-    Parameters
-    ----------
-    parameters : tuple of str
-        Axes of the sweep.
+    """Names that the table of a sweep can have: its axes, columns, as far as stages declare numbers, and files of its
+    runs.
     """
 
     def __init__(self, parameters: tuple[str, ...]) -> None:

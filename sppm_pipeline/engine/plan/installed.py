@@ -38,15 +38,7 @@ class EntryPoint(NamedTuple):
     dist: Distribution
 
     def load(self) -> Any:
-        """Import it.
-
-        Raises
-        ------
-        ImportError
-            If the module is not there, or what is named is no target.
-        AttributeError
-            If the module has no such attribute.
-        """
+        """Import it; `ImportError` or `AttributeError` if it is not there."""
         found = _TARGET.fullmatch(self.value)
         if found is None:
             raise ImportError(f"{self.value!r} is neither `module` nor `module:attribute`")

@@ -35,27 +35,13 @@ def has_compiled() -> bool:
 
 
 class Kernel(NamedTuple):
-    """A compiled function that Python calls, as the list has it.
+    """A compiled function that Python calls, as the list has it."""
 
-    Attributes
-    ----------
-    place : str
-        ``package.module:name``.
-    seconds : float
-        CPU time of compiling when the list was made.
-    stages : tuple of str
-        Stages that were seen to call it.
-    company : tuple of str
-        Stages that were in every pipeline in which it was called.
-    signatures : list
-        See `kernel_signatures`.
-    """
-
-    place: str
-    seconds: float
-    stages: tuple[str, ...]
-    company: tuple[str, ...]
-    signatures: list[Any]
+    place: str  # ``package.module:name``
+    seconds: float  # CPU time of compiling when the list was made
+    stages: tuple[str, ...]  # those that were seen to call it
+    company: tuple[str, ...]  # stages that were in every pipeline in which it was called
+    signatures: list[Any]  # see `kernel_signatures`
 
 
 def listed_kernels() -> list[Kernel]:

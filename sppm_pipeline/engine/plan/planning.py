@@ -35,24 +35,7 @@ SWEEP_ID = "sweep"
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that is known before the first stage runs.
-
-    Attributes
-    ----------
-    configuration : Configuration
-    name : str
-    seed : int
-    params : mapping of name to value
-    steps : tuple of Step
-    recipes : mapping of recipe name to tuple of Step
-    after : tuple of Step
-        Stages that run once after a sweep.
-    warnings : tuple of str
-    document : dict
-        The configuration with overrides and defaults written out; run again, it gives the same.
-    plugins : tuple of Plugin
-        All that were loaded.
-    """
+    """Everything that is known before the first stage runs."""
 
     configuration: Configuration
     name: str
@@ -60,19 +43,13 @@ class Plan:
     params: Mapping[str, Any]
     steps: tuple[Step, ...]
     recipes: Mapping[str, tuple[Step, ...]]
-    after: tuple[Step, ...]
+    after: tuple[Step, ...]  # stages that run once after a sweep
     warnings: tuple[str, ...]
-    document: dict[str, Any] = field(repr=False)
-    plugins: tuple[Plugin, ...] = field(repr=False)
+    document: dict[str, Any] = field(repr=False)  # with overrides and defaults; run again, it gives the same
+    plugins: tuple[Plugin, ...] = field(repr=False)  # all that were loaded
 
     def until(self, until: str | None) -> tuple[Step, ...]:
-        """The steps of the pipeline up to the one of this id; all if it is None.
-
-        Raises
-        ------
-        ConfigError
-            If there is none of this id.
-        """
+        """The steps of the pipeline up to the one of this id; all if it is None."""
         ids = [step.id for step in self.steps]
         if until is not None and until not in ids:
             raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
@@ -80,33 +57,18 @@ class Plan:
 
 
 class Drafts(NamedTuple):
-    """The stages of a configuration: parameters put in, stages looked up, options read; not wired yet.
-
-    Attributes
-    ----------
-    configuration : Configuration
-    registry : Registry
-    seed : int
-    params : mapping of name to Entry
-    groups : dict of name to list of Draft or None
-        Of each recipe, the pipeline and `after`; None stands for a stage that is unknown.
-    unread : set of Position
-        Places of values that could not be read; further errors there would only be consequences.
-    renamed, unused : tuple of str
-        Warnings of former names and of parameters that nothing refers to.
-    single : bool
-        Whether this is one row of a sweep.
-    """
+    """The stages of a configuration: parameters put in, stages looked up, options read; not wired yet."""
 
     configuration: Configuration
     registry: Registry
     seed: int
     params: Mapping[str, Entry]
+    # of each recipe, the pipeline and `after`; None stands for a stage that is unknown
     groups: dict[str, list[Draft | None]]
-    unread: set[Position]
-    renamed: tuple[str, ...]
-    unused: tuple[str, ...]
-    single: bool
+    unread: set[Position]  # places of values that could not be read; further errors there would only be consequences
+    renamed: tuple[str, ...]  # warnings of former names
+    unused: tuple[str, ...]  # warnings of parameters that nothing refers to
+    single: bool  # whether this is one row of a sweep
 
 
 def make_plan(
@@ -116,15 +78,7 @@ def make_plan(
     row: Mapping[str, Entry] | None = None,
     available: Mapping[str, tuple[type, ...]] | None = None,
 ) -> Plan:
-    """Read the stages, then wire them, and report all errors in one go; see `draft_plan` and `wire_plan`.
-
-    Raises
-    ------
-    ConfigError
-        The only error, or a `ConfigErrors` of all.
-    PluginError
-        If a stage breaks its contract.
-    """
+    """Read the stages, then wire them, and raise all errors in one go; see `draft_plan` and `wire_plan`."""
     drafts, unfit = draft_plan(configuration, registry, overrides, row)
     plan, loose = wire_plan(drafts, available)
     raise_problems([*unfit, *loose])
@@ -134,20 +88,8 @@ def make_plan(
 def draft_plan(
     configuration: Configuration, registry: Registry, overrides: Overrides, row: Mapping[str, Entry] | None = None
 ) -> tuple[Drafts, Problems]:
-    """Put parameters and overrides in, look the stages up, and read their options.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    registry : Registry
-    overrides : Overrides
-    row : mapping of parameter name (or ``seed``) to Entry, optional
-        A row of the sweep; the plan is then that of a single run.
-
-    Raises
-    ------
-    PluginError
-        If a stage breaks its contract.
+    """Put parameters and overrides in, look the stages up, and read their options; of a row of the sweep, the plan is
+    that of a single run. `PluginError` if a stage breaks its contract.
     """
     params, problems = override_params(configuration.params, overrides.params)
     seed = configuration.seed if overrides.seed is None else overrides.seed
@@ -194,12 +136,7 @@ def draft_plan(
 
 def wire_plan(drafts: Drafts, available: Mapping[str, tuple[type, ...]] | None = None) -> tuple[Plan, Problems]:
     """Wire recipes, pipeline and `after`; the plan is complete if neither the drafts nor the wiring are wrong.
-
-    Parameters
-    ----------
-    drafts : Drafts
-    available : mapping of id to artifact types, optional
-        What is there before the first stage.
+    `available` are artifact types, by id, that are there before the first stage.
     """
     configuration, groups = drafts.configuration, drafts.groups
     recipes: dict[str, Wired] = {name: Wired((), None) for name in groups if name not in (_PIPELINE, _AFTER)}

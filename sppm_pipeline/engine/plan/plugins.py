@@ -49,42 +49,23 @@ def allowed_plugins(names: str | None = None) -> tuple[str, ...] | None:
 
 @dataclass
 class Plugin:
-    """A source of stages, executors and verbs.
+    """A source of stages, executors and verbs."""
 
-    Attributes
-    ----------
-    name : str
-        Module, entry point or file.
-    distribution, version : str or None
-        Of an installed distribution.
-    target : str or None
-        What its entry point names: "module" or "module:attribute".
-    builtin : bool
-    error : PluginError or None
-        Why it could not be loaded.
-    stages : dict of stage name to class or "module:Class"
-    module : object or None
-        What was loaded.
-    aliases : dict of former stage name to current name or StageAlias
-    executors : dict of name to function of the number of workers, and of the place where they are
-    commands : dict of verb to Command
-    presets : dict of name to Preset
-    viewers : dict of "module:Class" of what is shown to Viewer
-    """
-
-    name: str
-    distribution: str | None = None
+    name: str  # module, entry point or file
+    distribution: str | None = None  # of an installed distribution
     version: str | None = None
-    target: str | None = None
+    target: str | None = None  # what its entry point names: "module" or "module:attribute"
     builtin: bool = False
-    error: PluginError | None = None
-    module: object | None = None
-    stages: dict[str, type[Stage] | str] = field(default_factory=dict)
+    error: PluginError | None = None  # why it could not be loaded
+    module: object | None = None  # what was loaded
+    stages: dict[str, type[Stage] | str] = field(default_factory=dict)  # class or "module:Class" by stage name
+    # current name or StageAlias by former stage name
     aliases: dict[str, str | StageAlias] = field(default_factory=dict)
+    # functions of the number of workers, and of the place where they are
     executors: dict[str, Callable[..., Executor]] = field(default_factory=dict)
-    commands: dict[str, hookspecs.Command] = field(default_factory=dict)
+    commands: dict[str, hookspecs.Command] = field(default_factory=dict)  # by verb
     presets: dict[str, hookspecs.Preset] = field(default_factory=dict)
-    viewers: dict[str, Viewer] = field(default_factory=dict)
+    viewers: dict[str, Viewer] = field(default_factory=dict)  # by "module:Class" of what is shown
 
     def __str__(self) -> str:
         if self.builtin:
@@ -125,12 +106,8 @@ class BrokenContract(PluginError):
 
 
 def installed_plugins(allowed: Iterable[str] | None = None) -> Iterator[tuple[Plugin, Callable[[], Any]]]:
-    """Plugins of installed distributions as their metadata describe them, each with what imports it.
-
-    Parameters
-    ----------
-    allowed : iterable of str, optional
-        Names of distributions or of entry points; others are left out.
+    """Plugins of installed distributions as their metadata describe them, each with what imports it; `allowed` are
+    names of distributions or of entry points.
     """
     wanted = None if allowed is None else {normal(name) for name in allowed}
     for entry in sorted(installed.entry_points(hookspecs.PROJECT), key=lambda e: e.name):
@@ -152,23 +129,11 @@ def load_plugins(
     distributions: bool = True,
     allowed: Sequence[str] | None = None,
 ) -> Plugins:
-    """Load every plugin in its own try.
+    """Load every plugin in its own try: modules with the built-in hook implementations, installed distributions (entry
+    points of the group ``sppm``), and single Python files.
 
-    Parameters
-    ----------
-    builtins : sequence of str
-        Modules with the built-in hook implementations.
-    files : iterable of Path
-        Single Python files.
-    distributions : bool
-        Whether to look for installed distributions (entry points of the group ``sppm``).
-    allowed : sequence of str, optional
-        Names of distributions or of entry points; the others are not imported.
-
-    Raises
-    ------
-    ConfigError
-        If `allowed` names something that is not installed.
+    Of distributions only those `allowed` are imported, by their name or that of an entry point; `ConfigError` if one is
+    not installed.
     """
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
@@ -280,13 +245,7 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
 
 
 def imported(plugin: Plugin, what: str, target: Any) -> Any:
-    """An object that a plugin supplies as ``"module:attribute"``, imported; anything else as it is.
-
-    Raises
-    ------
-    PluginError
-        If it can't be imported.
-    """
+    """An object that a plugin supplies as ``"module:attribute"``, imported; anything else as it is."""
     if not isinstance(target, str):
         return target
     module, colon, attribute = target.partition(":")

@@ -18,22 +18,12 @@ from sppm_pipeline.stage import Recipe, Stage
 
 @dataclass(frozen=True)
 class Port:
-    """An input of a stage.
-
-    Attributes
-    ----------
-    name : str
-    types : tuple of type
-        The artifacts it takes; empty for a recipe.
-    optional : bool
-    many : bool
-        Whether it takes the results of one or more stages, as a tuple in the order of `from`.
-    """
+    """An input of a stage."""
 
     name: str
-    types: tuple[type, ...]
+    types: tuple[type, ...]  # the artifacts it takes; empty for a recipe
     optional: bool
-    many: bool = False
+    many: bool = False  # whether it takes the results of one or more stages, as a tuple in the order of `from`
 
     @property
     def is_recipe(self) -> bool:
@@ -47,23 +37,12 @@ class Port:
 
 @dataclass(frozen=True)
 class Signature:
-    """Inputs and results of a stage.
-
-    Attributes
-    ----------
-    ports : tuple of Port
-    makes : tuple of type
-        One of these is made; empty if nothing is.
-    as_recipe : bool
-        Whether it makes what its recipe makes (the result is annotated ``Any``).
-    as_port : str or None
-        The port whose artifact it passes on (port and result are annotated with the same type variable).
-    """
+    """Inputs and results of a stage."""
 
     ports: tuple[Port, ...]
-    makes: tuple[type, ...]
-    as_recipe: bool
-    as_port: str | None = None
+    makes: tuple[type, ...]  # one of these is made; empty if nothing is
+    as_recipe: bool  # whether it makes what its recipe makes (the result is annotated ``Any``)
+    as_port: str | None = None  # the port whose artifact it passes on (both annotated with the same type variable)
 
     def gathered(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         """Inputs by port: those of ports that take many as tuples."""
@@ -77,12 +56,8 @@ class Signature:
 
 @functools.cache
 def signature_of(cls: type[Stage]) -> Signature:
-    """Read the signature of ``cls.run``.
-
-    Raises
-    ------
-    PluginError
-        If an annotation is missing or can't be resolved, or a parameter can't be a port.
+    """The signature of ``cls.run``; `PluginError` if an annotation is missing or can't be resolved, or a parameter
+    can't be a port.
     """
     name = f"{cls.__qualname__}.run"
     parameters = list(inspect.signature(cls.run).parameters.values())[1:]

@@ -35,20 +35,12 @@ MARGIN = 1.03
 
 
 class Seen(NamedTuple):
-    """A stage that ran on this machine.
-
-    Attributes
-    ----------
-    rated, seconds : float
-        Seconds by the table, and as they were.
-    expected, peak : float
-        Bytes of the process while it ran, by the table, and as they were; 0 where they are unknown.
-    """
+    """A stage that ran on this machine: seconds and bytes of the process, by the table and as they were."""
 
     rated: float
     seconds: float
     expected: float
-    peak: float
+    peak: float  # 0 where it is unknown
 
 
 History = Mapping[str, Sequence[Seen]]
@@ -83,14 +75,8 @@ def cost(name: str, units: Mapping[str, float]) -> Cost | None:
 
 
 def by_history(seen: Sequence[Seen], rated: float, expected: float) -> tuple[float, float]:
-    """Seconds of a stage and bytes of its process, in proportion to the runs that were nearest in size.
-
-    Parameters
-    ----------
-    seen : sequence of Seen
-        Runs of the stage; if there are none, the next two are returned.
-    rated, expected : float
-        Seconds and bytes by the table.
+    """Seconds of a stage and bytes of its process, in proportion to the runs that were nearest in size; those by the
+    table, `rated` and `expected`, if there are none.
     """
     time = _nearest([(one.rated, one.seconds) for one in seen], rated)
     memory = _nearest([(one.expected, one.peak) for one in seen if one.peak], expected)

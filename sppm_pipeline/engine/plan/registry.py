@@ -16,12 +16,7 @@ from sppm_pipeline.stage import FAMILIES, Stage, StageAlias
 
 
 class Registry:
-    """Stages of all plugins.
-
-    Parameters
-    ----------
-    plugins : Plugins
-    """
+    """Stages of all plugins."""
 
     def __init__(self, plugins: Plugins) -> None:
         self.plugins = plugins
@@ -68,13 +63,8 @@ class Registry:
     def get(self, name: str, where: Position | None = None) -> type[Stage]:
         """The class of a stage, by its current or a former name.
 
-        Raises
-        ------
-        ConfigError
-            If nothing supplies a stage of this name.
-        PluginError
-            If a plugin that could not be loaded may supply it, its module can't be imported, or the class breaks the
-            contract.
+        Raises `ConfigError` if nothing supplies it, `PluginError` if a plugin that could not be loaded may supply it,
+        its module can't be imported, or the class breaks the contract.
         """
         name = self.current(name)
         if name not in self._owners:

@@ -22,13 +22,7 @@ from sppm_pipeline.errors import ConfigError
 
 
 def find_configuration(name: str) -> Path:
-    """A file by its path, or a packaged example by its name.
-
-    Raises
-    ------
-    ConfigError
-        If there is neither.
-    """
+    """A file by its path, or a packaged example by its name; `ConfigError` if there is neither."""
     path = Path(name)
     if path.exists():
         return path
@@ -51,41 +45,20 @@ Row = Mapping[str, Entry]
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A configuration to run and how to run it, in plain picklable values.
+    """A configuration to run and how to run it, in plain picklable values."""
 
-    Attributes
-    ----------
-    file : str
-        The configuration file; with `text` or `document`, the name by which messages and the run record call it.
-    builtins : tuple of str
-        Modules with the built-in hook implementations.
-    plugins : tuple of str
-        Python files with further stages.
-    distributions : bool
-        Whether installed plugins, and those the configuration names, are loaded.
-    overrides : Overrides
-    allowed : tuple of str or None
-        Installed plugins that may be imported, by distribution or entry point; all if None.
-    text : str or None
-        The configuration itself as YAML, instead of a file.
-    document : mapping or None
-        The configuration as plain Python values, instead of a file; see `compose`.
-    folder : str or None
-        Folder that relative paths in `text` or `document` start from; the current folder if None.
-    trusted : bool
-        Whether the user has agreed to run whatever Python files the configuration names.
-    """
-
-    file: str
-    builtins: tuple[str, ...] = BUILTINS
-    plugins: tuple[str, ...] = ()
-    distributions: bool = True
+    file: str  # with `text` or `document`, the name by which messages and the run record call it
+    builtins: tuple[str, ...] = BUILTINS  # modules with the built-in hook implementations
+    plugins: tuple[str, ...] = ()  # Python files with further stages
+    distributions: bool = True  # whether installed plugins, and those the configuration names, are loaded
     overrides: Overrides = field(default_factory=Overrides)
+    # installed plugins that may be imported, by distribution or entry point; all if None
     allowed: tuple[str, ...] | None = None
-    text: str | None = None
+    text: str | None = None  # the configuration itself as YAML, instead of a file
+    # the configuration as plain Python values; see `compose`
     document: Mapping[str, Any] | None = field(default=None, hash=False)
-    folder: str | None = None
-    trusted: bool = False
+    folder: str | None = None  # where relative paths in `text` or `document` start; the current folder if None
+    trusted: bool = False  # whether the user has agreed to run whatever Python files the configuration names
 
     def absolute(self) -> RunRequest:
         """The same for another process in another folder: the text of the configuration, which keeps its name."""
@@ -97,12 +70,7 @@ class RunRequest:
         return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."), trusted=True)
 
     def read(self) -> tuple[Configuration, Problems]:
-        """The configuration that is asked for, without the sweep axes that overrides fix.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """The configuration that is asked for, without the sweep axes that overrides fix, and what is wrong with it."""
         path, folder = Path(self.file), Path(self.folder or ".")
         if self.document is not None:
             root = compose(self.document, self.file)
@@ -116,34 +84,17 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class Session:
-    """A configuration that was read, with the plugins it needs.
-
-    Attributes
-    ----------
-    request : RunRequest
-    configuration : Configuration
-    plugins : Plugins
-    registry : Registry
-    unread : list of ConfigError
-        What is wrong with the top level of the configuration and does not keep the rest from being looked at.
-    """
+    """A configuration that was read, with the plugins it needs."""
 
     request: RunRequest
     configuration: Configuration
     plugins: Plugins
     registry: Registry
+    # errors of the top level that do not keep the rest from being looked at
     unread: Problems = field(default_factory=list)
 
     def plan(self, row: Row | None = None) -> Plan:
-        """Plan the run, or one row of its sweep.
-
-        Raises
-        ------
-        ConfigError
-            With all that is wrong.
-        PluginError
-            If a stage breaks its contract.
-        """
+        """Plan the run, or one row of its sweep; raises all that is wrong."""
         drafts, unfit = draft_plan(self.configuration, self.registry, self.request.overrides, row)
         plan, loose = wire_plan(drafts)
         raise_problems([*self.unread, *unfit, *loose])
@@ -151,13 +102,7 @@ class Session:
 
     @cached_property
     def rows(self) -> Sequence[Row]:
-        """Rows of the sweep, laid out once whatever their number; none of a single run.
-
-        Raises
-        ------
-        ConfigError
-            See `sweep_rows`.
-        """
+        """Rows of the sweep, laid out once whatever their number; none of a single run. Raises as `sweep_rows` does."""
         sweep = self.configuration.sweep
         return [] if sweep is None else sweep_rows(sweep, self.configuration.params)
 
@@ -165,11 +110,8 @@ class Session:
 def open_session(request: RunRequest) -> Session:
     """Read the configuration and load the plugins.
 
-    Raises
-    ------
-    ConfigError, PluginError
-        `UntrustedError` if the configuration names Python files that the user has not agreed to run: neither as
-        `RunRequest.trusted` and `RunRequest.plugins` say nor by name in `RunRequest.allowed`, nor by `trust.trust`.
+    Raises `UntrustedError` if the configuration names Python files that the user has not agreed to run: neither as
+    `RunRequest.trusted` and `RunRequest.plugins` say nor by name in `RunRequest.allowed`, nor by `trust.trust`.
     """
     configuration, unread = request.read()
     files = [Path(path) for path in request.plugins]

@@ -28,12 +28,7 @@ _OWN = (_PACKAGE / "examples", _PACKAGE / "configs", _PACKAGE.parent / "examples
 
 
 class UntrustedError(ConfigError):
-    """A configuration names Python files that the user has not agreed to.
-
-    Parameters
-    ----------
-    files : sequence of Path
-    """
+    """A configuration names Python files that the user has not agreed to."""
 
     def __init__(self, files: Sequence[Path]) -> None:
         names = listed(map(str, files))
@@ -53,13 +48,7 @@ def untrusted(files: Iterable[Path]) -> list[Path]:
 
 
 def trust(files: Iterable[Path]) -> None:
-    """Remember the content of files, which may run from now on.
-
-    Raises
-    ------
-    OSError
-        If that can't be written down.
-    """
+    """Remember the content of files, which may run from now on; `OSError` if that can't be written down."""
     known = _remembered() | {_digest(path) for path in files}
     folder = _state_folder()
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -17,49 +17,27 @@ from sppm_pipeline.stage import Stage
 
 @dataclass(frozen=True)
 class Draft:
-    """A stage entry whose stage is known; not wired yet.
-
-    Attributes
-    ----------
-    entry : StageEntry
-    cls : type of Stage
-    stage : Stage or None
-        None if its options are wrong.
-    owner : Plugin
-    """
+    """A stage entry whose stage is known; not wired yet."""
 
     entry: StageEntry
     cls: type[Stage]
-    stage: Stage | None
+    stage: Stage | None  # None if its options are wrong
     owner: Plugin
 
 
 @dataclass(frozen=True)
 class Step:
-    """A stage with its options and the sources of its ports.
-
-    Attributes
-    ----------
-    entry : StageEntry
-    stage : Stage
-    owner : Plugin
-        Who supplies the stage.
-    signature : Signature
-    inputs : mapping of port to id
-        The earlier stage that each port takes its artifact from; None for an optional port left open. A port that
-        takes many has an entry for each, under the names `Port.place`.
-    recipes : mapping of port to name
-    makes : tuple of type
-        What it makes, recipes taken into account.
-    """
+    """A stage with its options and the sources of its ports."""
 
     entry: StageEntry
     stage: Stage
-    owner: Plugin
+    owner: Plugin  # who supplies the stage
     signature: Signature
+    # the earlier stage that each port takes its artifact from; None for an optional port left open. A port that takes
+    # many has an entry for each, under the names `Port.place`.
     inputs: Mapping[str, str | None]
-    recipes: Mapping[str, str]
-    makes: tuple[type, ...]
+    recipes: Mapping[str, str]  # name of a recipe by port
+    makes: tuple[type, ...]  # recipes taken into account
 
     @property
     def id(self) -> str:
@@ -86,18 +64,10 @@ class Step:
 
 
 class Wired(NamedTuple):
-    """The stages of a pipeline or recipe, wired.
+    """The stages of a pipeline or recipe, wired."""
 
-    Attributes
-    ----------
-    steps : tuple of Step
-        Complete if nothing was wrong.
-    makes : tuple of type or None
-        What the last stage makes; None if that is not known.
-    """
-
-    steps: tuple[Step, ...]
-    makes: tuple[type, ...] | None
+    steps: tuple[Step, ...]  # complete if nothing was wrong
+    makes: tuple[type, ...] | None  # what the last stage makes; None if that is not known
 
 
 Made = Mapping[str, tuple[type, ...] | None]
@@ -155,13 +125,8 @@ def wire(
 ) -> tuple[Wired, Problems]:
     """Find the source of each port.
 
-    Parameters
-    ----------
-    drafts : sequence of Draft or None
-        In order; None stands for a stage that is unknown, after which nothing is said about missing inputs.
-    recipes : mapping of recipe name to Wired
-    given : mapping of id to artifacts, optional
-        What is there before the first stage.
+    A draft that is None stands for a stage that is unknown, after which nothing is said about missing inputs; `given`
+    is there before the first stage, by id.
     """
     made: dict[str, tuple[type, ...] | None] = dict(given or {})
     later = [draft.entry.id for draft in drafts if draft is not None]
