@@ -39,14 +39,9 @@ class FolderLock:
     """An exclusive lock on a folder or file that exists.
 
     The system gives a ``flock`` back when its process ends. A claim file stays when its process is killed: only a
-    person
-    removes it, because no process can know whether one of another machine has ended. A *file* is not
-    claimed: what it holds, an account, may then be off.
-
-    Attributes
-    ----------
-    holder : str
-        After `acquire` has failed: who holds the lock, as far as that is known; else empty.
+    person removes it, because no process can know whether one of another machine has ended. A *file* is not claimed:
+    what it holds, an account, may then be off. After `acquire` has failed, `holder` says who holds the lock, as far as
+    that is known.
     """
 
     def __init__(self, path: Path) -> None:

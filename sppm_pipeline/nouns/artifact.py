@@ -36,10 +36,7 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 def in_rows(array: NDArray[Any], width: int, what: str) -> NDArray[Any]:
     """`array` if it has the shape (n, width); an empty one as (0, width).
 
-    Raises
-    ------
-    ValueError
-        If it has another shape; a transposed array would otherwise be taken apart in the wrong places.
+    Another shape is a `ValueError`: a transposed array would otherwise be taken apart in the wrong places.
     """
     if array.ndim == 2 and array.shape[1] == width:
         return array
@@ -49,12 +46,8 @@ def in_rows(array: NDArray[Any], width: int, what: str) -> NDArray[Any]:
 
 
 def whole_numbers(values: Any, dtype: Any, what: str) -> NDArray[Any]:
-    """`values` as integers of a type.
-
-    Raises
-    ------
-    ValueError
-        If they are no whole numbers, which would be cut off without a word, or too large for the type.
+    """`values` as integers of a type; `ValueError` if they are no whole numbers, which would be cut off silently, or
+    too large for the type.
     """
     array = np.asarray(values)
     if array.size == 0:
@@ -276,13 +269,7 @@ def png_of(picture: NDArray[np.uint8]) -> bytes:
 
 
 def optional_module(name: str) -> Any:
-    """A library that is used only where it is installed.
-
-    Raises
-    ------
-    ResourceError
-        If it is not.
-    """
+    """A library that is used only where it is installed; `ResourceError` if it is not."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

@@ -75,6 +75,7 @@ def parse_length(value: object) -> Length:
     """
     if isinstance(value, Length):
         return value
+    # before int, of which bool is a subclass
     if isinstance(value, bool):
         raise ValueError(f"expected a length such as 0.16 or '7.5 mm', got {str(value).lower()}")
     if isinstance(value, (int, float)):

@@ -12,16 +12,12 @@ from sppm_pipeline.nouns.artifact import Artifact
 
 
 class Maps(Artifact):
-    """Base of artifacts by which scattered pores vary from place to place.
+    """Base of artifacts by which scattered pores vary from place to place; `tile.scattered` takes them without
+    importing the feature that makes them.
 
-    `tile.scattered` takes them without importing the feature that makes them.
-
-    Attributes
-    ----------
-    scattered_by : str
-        ``module:function`` that scatters pores as the maps say, imported when it is needed: a function of the context,
-        the maps and a `families.tiler.Scattering`. It returns the tiling, or None if no map changes what is
-        scattered.
+    `scattered_by` names, as ``module:function``, what scatters pores as the maps say, imported when it is needed: a
+    function of the context, the maps and a `families.tiler.Scattering`. It returns the tiling, or None if no map
+    changes what is scattered.
     """
 
     scattered_by: ClassVar[str]
@@ -92,6 +88,7 @@ class Blocks:
     @property
     def numbers(self) -> NDArray[np.int32]:
         """Interior of each block, (nx, ny, nz); -1 = none."""
+        # cumsum counts in C order, which is that of `sites`
         return np.where(self.mask, np.cumsum(self.mask).reshape(self.mask.shape) - 1, -1).astype(np.int32)
 
 

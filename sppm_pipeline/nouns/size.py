@@ -127,6 +127,7 @@ class Geometry:
         """
         inside, pairs = self.volume / (pixel**2 * layer), 2 * self.porosity * (1 - self.porosity)
         crossed = math.pi / 4 * self.area / (pixel * layer)
+        # equals `crossed` where outlines are sparse, and never exceeds the share of independent pairs
         return inside * pairs * (1 - math.exp(-crossed / (inside * pairs))) if pairs and inside else crossed
 
     def triangles(self, resolution: float) -> float:
@@ -140,6 +141,7 @@ class Geometry:
 
     def sums(self, samples: float, resolution: float, *, commensurate: bool = True) -> float:
         """Kernels that are evaluated for so many samples: those of patches if they are used often enough."""
+        # samples of the coarse grid for each fine one
         share = (self.coarse / resolution) ** 3
         if share <= (PAYING_SHARE_OF_PATCHES if self._patched(self.coarse) else PAYING_SHARE):
             samples, resolution, commensurate = samples * share, self.coarse, True
@@ -147,6 +149,7 @@ class Geometry:
 
     def _patched(self, resolution: float) -> bool:
         """Test whether patches are used often enough, and not too large."""
+        # samples of a patch: its cell, and what its kernels reach on both sides
         patch = (resolution * (1 + 2 * self.reach)) ** 3
         room = BANK * (3 if self.volume >= LASTING_USES * self.patches else 1)
         return self.volume >= USES_OF_A_PATCH * self.patches and 4 * self.patches * patch <= room

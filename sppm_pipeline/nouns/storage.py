@@ -53,38 +53,18 @@ class StoredFile(NamedTuple):
 
 
 def stored_bytes(value: Any) -> int:
-    """About how many bytes `save_value` would write.
-
-    Raises
-    ------
-    NotStorable
-        If it can't write it.
-    """
+    """About how many bytes `save_value` would write; `NotStorable` if it can't write the value."""
     arrays: list[NDArray[Any]] = []
     tree = _encode(value, _Arrays(arrays))
     return sum(array.nbytes for array in arrays) + 24 * _leaves(tree)
 
 
 def save_value(value: Any, folder: Path, *, durable: bool = False) -> list[StoredFile]:
-    """Write a value into an empty folder.
+    """Write an artifact, or whatever artifacts are made of, into an empty folder; sizes and digests, which `load_value`
+    checks.
 
-    Parameters
-    ----------
-    value : object
-        An artifact, or whatever artifacts are made of.
-    folder : Path
-    durable : bool
-        Whether the files have to survive that the machine stops right after.
-
-    Returns
-    -------
-    list of StoredFile
-        Sizes and digests; `load_value` checks them.
-
-    Raises
-    ------
-    NotStorable
-        Before anything is written.
+    With `durable` the files survive that the machine stops right after. `NotStorable` is raised before anything is
+    written.
     """
     arrays: list[NDArray[Any]] = []
     tree = _encode(value, _Arrays(arrays))
@@ -119,17 +99,8 @@ def save_value(value: Any, folder: Path, *, durable: bool = False) -> list[Store
 def load_value(folder: Path, files: Mapping[str, StoredFile]) -> Any:
     """Read what `save_value` wrote; every byte is checked.
 
-    Parameters
-    ----------
-    folder : Path
-    files : mapping of name to StoredFile
-
-    Raises
-    ------
-    DamagedError
-        If a size or a digest differs, or an artifact's class is gone.
-    FileNotFoundError
-        If a file is missing.
+    Raises `DamagedError` if a size or a digest differs, or an artifact's class is gone, `FileNotFoundError` if a file
+    is.
     """
 
     def read(name: str) -> NDArray[np.uint8]:

@@ -88,6 +88,7 @@ class BoundStage:
         """Check the options, as they are known."""
         cls = registry().get(self.name)
         needed = [port for port in signature_of(cls).ports if not (port.is_recipe or port.optional)]
+        # planned with stand-ins for the artifacts, so that wrong options are refused at once and not at the call
         self._plan({port.place(0) if port.many else port.name: port.types for port in needed})
 
     def __call__(
@@ -150,6 +151,7 @@ class BoundStage:
                     if not fits((type(artifact),), port):
                         raise _unfit(self.name, artifact, [port])
         for artifact in artifacts:
+            # a port given by name takes no artifact by type
             left = [port for port in ports if port.name not in named and (port.many or port.name not in taken)]
             fitting = [port for port in left if fits((type(artifact),), port)]
             if not fitting:
@@ -199,7 +201,9 @@ class BoundStage:
         for message in plan.warnings:
             monitor.warning(None, message)
         (step,) = plan.steps
+        # a stage that writes nothing needs no run directory
         writes = output is not None and any(option.spec.output for option in options_of(type(step.stage)).values())
+        # beside the target, so that moving is renaming and not copying
         with _scratch(output if writes else None) as scratch:
             runs = RunFolder(Path(scratch) / "run") if writes else None
             if runs is not None:
@@ -208,6 +212,7 @@ class BoundStage:
                 runner = StepRunner(
                     plan.steps,
                     plan.recipes,
+                    # no default seed: two calls would silently draw the same numbers
                     seed=MissingSeed() if seed is None else seed,
                     threads=threads or available_threads(),
                     folder=runs or Scratch(Path(scratch)),

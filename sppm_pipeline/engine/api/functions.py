@@ -57,6 +57,7 @@ class StageFunction:
         """
         ports = [port for port in signature_of(registry().get(self.name)).ports if not port.is_recipe]
         if not ports and artifacts:
+            # the likeliest mistake is an option given by position
             first = next(iter(options_of(registry().get(self.name))), None)
             raise ConfigError(
                 f"{self.name} takes no artifacts, got {type(artifacts[0]).__name__}",
@@ -64,6 +65,7 @@ class StageFunction:
             )
         named = {port.name: options.pop(port.name) for port in ports if port.name in options}
         bound = BoundStage(self.name, options, recipe)
+        # without required ports there is nothing to wait for
         if artifacts or named or all(port.optional for port in ports):
             folder = "." if output is None else output
             return bound(*artifacts, seed=seed, threads=threads, output=folder, **named)
@@ -116,9 +118,11 @@ class Family:
         self.__doc__ = f"Stages of the family {name}: {FAMILIES.get(name, 'of a plugin')}."
 
     def __getattr__(self, word: str) -> Any:
+        # inspection asks for such names, and must not load all plugins
         if word.startswith("_"):
             raise AttributeError(word)
         try:
+            # now, so that a misspelled stage is an AttributeError here and not an error of a later call
             registry().get(f"{self._name}.{word}")
         except ConfigError as error:
             raise AttributeError(str(error)) from None

@@ -128,6 +128,7 @@ class Pipeline:
         """
         given = {**(params or {}), **more}
         before = self._request.overrides
+        # as arguments of the command line, so that both are read, checked and reported alike
         overrides = Overrides(
             (*_without(before.params, given), *_arguments(given)),
             (*_without(before.options, set or {}), *_arguments(set or {})),
@@ -186,6 +187,7 @@ class Pipeline:
 
         plan = checked(self._session, inputs=False, folder=None).plan
         document = dict(plan.document)
+        # what starts here needs no folder, and can be moved
         if document["folder"] == os.getcwd():
             del document["folder"]
         if not defaults:
@@ -298,6 +300,7 @@ def load(path: str | Path, *, cache: bool | str | Path = True) -> Run:
     InputError
         If the folder holds no run.
     """
+    # the record holds the configuration with all values, so that it can be run as a file
     file = Path(path) / RECORD
     try:
         record = json.loads(file.read_bytes())
@@ -326,6 +329,7 @@ def _arguments(values: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _plain(value: Any) -> Any:
+    # numpy's scalars and arrays
     value = plain_option(value.tolist() if hasattr(value, "tolist") else value)
     return [_plain(item) for item in value] if isinstance(value, list) else value
 
@@ -340,6 +344,7 @@ def _brief(entries: Sequence[Any], steps: Sequence[Step]) -> list[Any]:
     for entry, step in zip(entries, steps, strict=True):
         defaults = {name: plain_option(option.default) for name, option in options_of(type(step.stage)).items()}
         short = {k: v for k, v in entry.items() if not (k in defaults and v == defaults[k])}
+        # that is the id that it gets without one
         if short.get("id") == short["stage"]:
             del short["id"]
         brief.append(short)

@@ -63,10 +63,12 @@ def contents(store: Store) -> list[Occupancy]:
             with os.scandir(folder) as files:
                 for file in files:
                     about = file.stat(follow_symlinks=False)
+                    # small files take whole blocks; st_blocks counts 512 bytes on every system
                     size += max(about.st_size, getattr(about, "st_blocks", 0) * 512)
                     if file.name == "manifest.json":
                         used = about.st_mtime
             found.append(Occupancy(key, size, used))
+    # the key, so that entries of equal time go in the same order everywhere
     return sorted(found, key=lambda entry: (entry.used, entry.key))
 
 
@@ -87,6 +89,7 @@ def prune(store: Store, cap: int) -> tuple[int, int]:
         removed += 1
     with contextlib.suppress(OSError):
         recents = sorted((store.root / "recent").iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        # a cap of 0 empties the cache
         for path in recents[MAX_RECENTS:] if cap else recents:
             path.unlink(missing_ok=True)
     if store.root.is_dir():
@@ -99,6 +102,7 @@ def account(store: Store) -> int:
     if not store.written:
         return 0
     cap = store.cap
+    # an account instead of a count: a large cache takes long to look through
     total = _add_usage(store.root, store.written)
     store.written = 0
     if total is not None and total <= cap:
@@ -190,11 +194,12 @@ def cache_folder(given: Path | None = None) -> Path | None:
     user = getattr(os, "getuid", lambda: "user")()
     if root:
         place = Path(root).absolute() / "sppm" / "results"
+        # another user's entries would be loaded as our own results
         if not place.exists() or not exposure(place):
             return place
     shared = Path(tempfile.gettempdir()) / f"sppm-results-{user}"
     with contextlib.suppress(OSError):
-        make_private(shared)  # first, so that nobody makes it between the look and its use
+        make_private(shared)  # first, so that no other user makes it between the look and its use
         if not exposure(shared):
             return shared
     return _own_folder()

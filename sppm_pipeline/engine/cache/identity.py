@@ -43,6 +43,7 @@ def code_of(cls: type[Stage], owner: Plugin) -> dict[str, Any]:
     """Supplier of a stage, in which version, and the digest of the source of all classes that it is made of."""
     modules = {c.__module__ for c in cls.__mro__ if c is not object}
     sources = {_source_of(module) for module in modules}
+    # sorted, as sets have no order that two processes share
     digest = hashlib.sha256("\n".join(sorted(sources - {""})).encode()).hexdigest()
     if owner.builtin:
         return {"supplier": _PACKAGE, "version": sppm_pipeline.__version__, "digest": digest}
@@ -112,6 +113,7 @@ def _processor() -> str:
             text = file.read(1 << 14).split("\n\n")[0]
     except OSError:
         text = platform.processor()
+    # these change from moment to moment or core to core, and no result with them
     kept = [line for line in text.splitlines() if not re.match(r"(cpu MHz|bogomips|apicid|initial apicid)", line)]
     wanted = ("vendor_id", "cpu family", "model", "stepping", "flags", "Features", "CPU ")
     described = "\n".join(line for line in kept if line.startswith(wanted)) or text
@@ -128,6 +130,7 @@ def arithmetic() -> dict[str, str | None]:
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
     target = None
     if "llvmlite.binding" in sys.modules:
+        # not imported for this: a process that compiled nothing has not loaded LLVM
         target = os.environ.get("NUMBA_CPU_NAME") or sys.modules["llvmlite.binding"].get_host_cpu_name()
     return {
         "processor": _processor_name(),

@@ -46,6 +46,7 @@ def _state(path: Path) -> tuple[Any, ...] | None:
     """State of a file or folder that changes with each write."""
     try:
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        # times to the nanosecond and the inode: a file replaced by one of equal size is noticed
         stats = [(str(file), file.stat()) for file in files]
     except OSError:
         return None
@@ -70,6 +71,7 @@ def ingredients_of(
         "format": KEY_FORMAT,
         **described,
         "inputs": dict(inputs),
+        # random numbers follow from the path, so that a stage moved elsewhere draws others
         "path": list(path),
         "environment": _environment(used),
     }
@@ -162,6 +164,7 @@ def run_key(plan: Plan, until: str | None) -> str | None:
 
 def key_of(ingredients: Mapping[str, Any]) -> str:
     """The key, 64 hexadecimal digits."""
+    # one text for equal ingredients, whatever the order of keys or the locale
     text = json.dumps(ingredients, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -109,6 +109,7 @@ class CacheSession:
         if ingredients is None or any(source and sources[port] is None for port, source in step.inputs.items()):
             return None  # the dependencies of the result are unknown, or it is made of something that has no key
         self._ingredients[step.id] = ingredients
+        # whether a stage draws random numbers is known only after a run: results without any have no seed in their key
         for key in (key_of(ingredients), key_of(ingredients | {"seed": self._seed})):
             try:
                 entry = self.store.find(key)
@@ -186,6 +187,7 @@ class CacheSession:
         try:
             key = key_of(ingredients | {"seed": self._seed} if drew else ingredients)
             self._keys[step.id] = key
+            # a file that was changed while the stage ran may not be what it has read
             if self._broken or not self._files.unchanged():
                 return
             manifest: dict[str, Any] = {
@@ -221,6 +223,7 @@ class CacheSession:
 
         A run of a few milliseconds, of which a sweep may have thousands, would otherwise take longer for being kept.
         """
+        # the longest last, where `pop` takes them
         self._facts.sort(key=lambda waiting: waiting[1]["seconds"])
         while self._facts and MAX_OVERHEAD * (time.perf_counter() - self._started) - self._spent >= SECONDS_OF_FACTS:
             started = time.perf_counter()
@@ -251,6 +254,7 @@ class CacheSession:
             return False
         cost = size / STORE_RATE + files * SECONDS_PER_FILE
         left = MAX_OVERHEAD * (time.perf_counter() - self._started) - self._spent
+        # a result that takes half as long to load as to make is not worth its space
         return cost <= max(left, MAX_OVERHEAD * seconds) and size / LOAD_RATE + files * SECONDS_PER_FILE <= seconds / 2
 
     def close(self) -> None:
@@ -259,6 +263,7 @@ class CacheSession:
             self._keep_facts()
             if self._about and not self._broken and any(self._ingredients.values()):
                 stages = {id_: found for id_, found in self._ingredients.items() if found is not None}
+                # without it `reasons_of` could not say what has changed
                 text = {"about": self._about, "seed": self._seed, "stages": stages}
                 self.store.write_text(recent_name(self._about), text)
             self.store.clear_leftovers()

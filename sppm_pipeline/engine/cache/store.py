@@ -109,11 +109,12 @@ class Store:
             raise DamagedError(f"{folder / MANIFEST}: {error}") from error
         if touch:
             with contextlib.suppress(OSError):
+                # its time is that of the last use, by which entries are removed
                 os.utime(folder / MANIFEST)
         return Entry(key, folder, manifest)
 
     def load(self, entry: Entry) -> Any:
-        """The artifact of an entry; `DamagedError` if a byte of it has changed, `OSError` if it is not there any more."""
+        """The artifact of an entry; `DamagedError` if a byte of it has changed, `OSError` if it is gone."""
         return load_value(entry.folder, entry.files())
 
     def restore(self, entry: Entry, claim: Callable[[str], Path]) -> None:
@@ -173,6 +174,7 @@ class Store:
     def _put_into_place(self, key: str, fresh: Path) -> None:
         place = self.place(key)
         place.parent.mkdir(parents=True, exist_ok=True)
+        # other processes may put the same entry there between two steps; a few tries outlast them
         for _ in range(8):
             try:
                 os.rename(fresh, place)
@@ -206,6 +208,7 @@ class Store:
         fresh.write_bytes(json_text(sealed(value)).encode())
         final = self.root / name
         final.parent.mkdir(parents=True, exist_ok=True)
+        # in one step, so that a reader finds the old text or the new one
         os.replace(fresh, final)
 
     def read_text(self, name: str) -> dict[str, Any] | None:
@@ -281,6 +284,7 @@ def _pack(path: Path, outputs: Sequence[tuple[str, Path]], durable: bool) -> dic
             inside = [""]
             if output.is_dir():
                 folders.append(name)
+                # sorted: equal outputs have equal bytes on every file system
                 inside = sorted(p.relative_to(output).as_posix() for p in output.rglob("*") if p.is_file())
             for relative in inside:
                 own, length = hashlib.sha256(), 0

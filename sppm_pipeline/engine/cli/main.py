@@ -66,6 +66,7 @@ def leave() -> None:
             code = supervised(_whole, _say, _exit_message(sys.argv[1:]), _mark_ended)
         except Exception as error:  # no second process, or not the descriptors to talk to it
             code = _reported(error, "--debug" in sys.argv)
+        # without taking interpreter and compiler down, see above
         os._exit(code)
     os._exit(_whole())
 
@@ -101,12 +102,14 @@ def _dispatch(words: list[str]) -> int:
     verb = words[0]
     import argparse
 
+    # a plugin can't replace a built-in verb, and none is imported for one
     command = _built_in(verb) or _of_plugin(verb, words)
     parser = argparse.ArgumentParser(
         prog=f"sppm {verb}",
         description=command.help[0].upper() + command.help[1:] + ".",
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        # an abbreviation that works today would become ambiguous with the next option
         allow_abbrev=False,
     )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -114,6 +117,7 @@ def _dispatch(words: list[str]) -> int:
     try:
         parsed = parser.parse_args(words[1:])
     except SystemExit as exit:
+        # argparse has printed help or error itself
         return exit.code if isinstance(exit.code, int) else 2
     if verb == "run":
         from sppm_pipeline.engine.process.resident import share_one_heap

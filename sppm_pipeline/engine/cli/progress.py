@@ -1,7 +1,7 @@
 """Progress on stderr: a bar below the stages that have ended on a terminal, few plain lines elsewhere, a log on demand.
 
-Not by a library: `rich.progress` takes .05 s to import, where a run of 512 cells shall take .65 s, and knows nothing of
-plain lines, logs and rows.
+Not by a library: `rich.progress` takes 0.05 s to import, where a run of 512 cells shall take 0.65 s, and does not
+support plain lines, logs and rows.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ SPARSE = 10.0
 """Seconds between two lines elsewhere."""
 
 EACH_ROW = 60
-"""A sweep of at most so many runs leaves a line for each, a longer one for those that warn or fail; a choice."""
+"""A sweep of at most so many runs leaves a line for each, a longer one for those that warn or fail.
+Heuristic: about a screen of lines; twice as many scroll what was said before out of it."""
 
 MIN_SHARE = 0.1
 """Share of the work from which on the time that is left is shown: a heuristic.
@@ -62,6 +63,8 @@ class ProgressLines(Waiting):
         self._color = stream.isatty() and not self._verbose and os.environ.get("TERM") != "dumb"
         self._color = self._color and not os.environ.get("NO_COLOR")
         self._clock = clock
+        # stages report from threads of theirs, and the clock of the terminal is another; reentrant, as events are drawn
+        # within events
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._ticking = False
@@ -245,7 +248,7 @@ class ProgressLines(Waiting):
         return f"\x1b[{color}m{text}\x1b[0m" if self._color and color else text
 
     def _write(self, text: str) -> None:
-        with self._lock, contextlib.suppress(OSError, ValueError):  # nobody may be listening any more
+        with self._lock, contextlib.suppress(OSError, ValueError):  # the reader may have gone
             self._stream.write(text)
             self._stream.flush()
 

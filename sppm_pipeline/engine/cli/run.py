@@ -186,6 +186,7 @@ def _execute(args: Namespace) -> int:
         raise breach
     if failed and not args.ignore_failed:
         codes = {run["error"]["exit_code"] for run in failed}
+        # runs that failed for different reasons have no code in common; 3 says that designs could not be made
         return codes.pop() if len(codes) == 1 else 3
     return 0
 
@@ -257,6 +258,7 @@ def _print_summary(
 
     Stages that name their headline numbers show these, others the first five.
     """
+    # a sweep without stages of `after` has none
     width = max((len(stage["id"]) for stage in record["stages"]), default=0)
     for stage in record["stages"]:
         shown = [
@@ -272,6 +274,7 @@ def _print_summary(
         )
         time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
         print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
+    # the convention of no-color.org
     color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in audit_lines(record.get("audit"), color=color):
         print(line)
@@ -337,6 +340,7 @@ def headline_text(headline: Headline, summary: Mapping[str, Any]) -> str:
     if value is None:
         return ""
     bars = [bar for bar in (error if isinstance(error, list) else [error]) if isinstance(bar, (int, float))]
+    # a list has to fit a line, and an error bar makes further digits idle
     digits = 6 if isinstance(value, (int, float)) and not bars else 4
     if isinstance(value, Mapping):
         text = " ".join(f"{name} {_number(one, digits)}" for name, one in value.items())

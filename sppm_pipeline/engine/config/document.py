@@ -281,6 +281,7 @@ class _Composer:
         elif depth > MAX_DEPTH:
             raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=where)
         before = self._count
+        # an alias counts as all that its anchor holds, or aliases of aliases would grow without limit
         self._count += 1 if known is None else known[1]
         if self._count > MAX_NODES:
             raise ConfigError(f"the document has more than {MAX_NODES} values, aliases expanded", where=where)
@@ -304,6 +305,7 @@ class _Composer:
         if self._record_ended and depth == 0:
             node = node.value["config"].node
         if event.anchor is not None:
+            # only now, so that a node can't hold an alias of itself
             self._anchors[event.anchor] = (node, self._count - before)
         return node
 
@@ -313,6 +315,7 @@ class _Composer:
         merge_key: Position | None = None
         while type(event := next(self._events)).__name__ != "MappingEndEvent":
             where = self._where(event)
+            # a quoted "<<" is a key like others
             is_merge = type(event).__name__ == "ScalarEvent" and event.value == "<<" and event.implicit[0]
             key = self._node(event, depth + 1).value
             value = self._node(next(self._events), depth + 1)

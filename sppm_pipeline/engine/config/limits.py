@@ -69,6 +69,7 @@ def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
     try:
         return data[:MAX_RECORD].decode("utf-8-sig", "ignore" if is_record else "strict")
     except UnicodeDecodeError as error:
+        # columns count characters, and bytes before the first bad one are sound
         before = data[: error.start].decode("utf-8-sig", "replace")
         raise ConfigError(
             f"byte 0x{data[error.start]:02x} is not UTF-8",

@@ -34,6 +34,7 @@ def output_parts(name: str) -> tuple[str, ...]:
     Raises `ConfigError` if the name leaves the run directory, is kept for the run itself, or can't be a file's name
     everywhere.
     """
+    # a backslash separates on Windows, and would leave the run directory there
     posix = PurePosixPath(name.replace("\\", "/"))
     parts = posix.parts
     if (bad := unprintable(name)) is not None:
@@ -45,6 +46,7 @@ def output_parts(name: str) -> tuple[str, ...]:
             f"the output {shown(name)} leaves the run directory",
             hint="outputs are relative to the run directory, which -o chooses",
         )
+    # a file system may take names for one that differ in case
     if parts[0].casefold() in RESERVED_NAMES or parts[0].casefold().startswith(STAGING):
         raise ConfigError(f"the output {shown(name)} has a name that is kept for the run itself")
     if len(name.encode()) > MAX_NAME:
@@ -56,6 +58,7 @@ def output_parts(name: str) -> tuple[str, ...]:
             raise ConfigError(f"the output {shown(name)} holds {found[0]!r}, which not every file system allows")
         if part.endswith((".", " ")) or part.startswith(" "):
             raise ConfigError(f"the output {shown(name)} has a part that begins with a blank or ends in a dot or blank")
+        # runs are copied to other systems, so that Windows' names are refused everywhere
         if _DEVICE.fullmatch(part):
             raise ConfigError(f"{shown(part)} is the name of a device on Windows, not of a file")
     return parts

@@ -22,7 +22,7 @@ from sppm_pipeline.nouns.length import CELL_UNIT, UNITS_IN_MM, Length, parse_len
 from sppm_pipeline.stage import OptionSpec, Stage
 
 SMALLEST_MM, LARGEST_MM = 1e-6, 1e6
-"""A length with a unit lies between a nanometre and a kilometre; anything else is a slip."""
+"""A length with a unit lies between a nanometre and a kilometre; anything else is a typing error."""
 
 _COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+\s*[A-Za-zµ]*")
 _AFTER_COMMA = re.compile(r"[0-9]+(?:\s*[A-Za-zµ]+)?")  # what is left in a map of a number with a comma
@@ -68,6 +68,7 @@ def options_of(cls: type[Stage]) -> dict[str, Option]:
             raise PluginError(f"{cls.__qualname__} can't have an option called {field.name!r}, which YAML needs itself")
         default = field.default
         if field.default_factory is not dataclasses.MISSING:
+            # options are frozen values, so that one default serves all stages of the class
             default = field.default_factory()
         _check_kind(hints[field.name], f"{cls.__qualname__}.{field.name}")
         result[field.name] = Option(field.name, hints[field.name], spec, default)
@@ -191,11 +192,13 @@ def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:
             number = kind(value)
         except (OverflowError, ValueError):  # an integer of a nan or an infinity, a float of too large a number
             raise _refused(option, value) from None
+        # YAML has .inf and .nan, which no option means and no bound refuses
         if kind is float and not math.isfinite(number):
             raise _refused(option, value, ", which is not finite")
         if (kind is float or number == value) and _in_bounds(number, spec):
             return number
     if kind is Path and isinstance(value, (str, Path)) and str(value) and "\0" not in str(value):
+        # an absolute path stays: `/` drops what is in front of it
         return folder / Path(value).expanduser()
     if kind is not str or not isinstance(value, str):
         raise _refused(option, value)
@@ -240,6 +243,7 @@ def _parse_length(value: Any, option: Option) -> Length:
     elif length.unit is not None and spec.unit in UNITS_IN_MM:
         scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[spec.unit]
     elif length.unit is not None:
+        # upper bounds count in cell sizes, and the size of the cell in mm is not known yet
         spec = OptionSpec("", minimum=spec.minimum, above=spec.above)
     if not _in_bounds(length.value * scale, spec):
         raise _refused(option, value)
@@ -254,6 +258,7 @@ def _parse_tuple(kind: Any, value: Any, option: Option, folder: Path) -> tuple[A
     variadic = len(elements) == 2 and elements[1] is Ellipsis
     if not isinstance(value, (list, tuple)) or (not variadic and len(value) != len(elements)):
         raise _refused(option, value)
+    # tuple[X, ...] takes a list of any length
     kinds = [elements[0]] * len(value) if variadic else elements
     result = []
     for number, (element, item) in enumerate(zip(kinds, value, strict=True), 1):
@@ -312,6 +317,7 @@ def hint_of(option: Option, value: Any) -> str:
         if _PERCENT.fullmatch(text) and not whole:
             return f"write {float(text.rstrip('% ')) / 100:g}, a share of 1; {option.spec.help}"
     below = (option.spec.maximum, option.spec.below)
+    # a share written in percent; up to 2 it may as well be a share that is too large
     if 1.0 in below and float in _members(option.kind) and type(value) in (int, float) and 2 < value < 100:
         return f"write {value / 100:g} for {value:g} %; {option.spec.help}"
     return option.spec.help

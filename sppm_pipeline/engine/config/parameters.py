@@ -95,6 +95,7 @@ def put_in(groups: Mapping[str, Node], params: Mapping[str, Entry]) -> tuple[Sub
                 )
             return node
         found.used.add(match[1])
+        # counted before it is put in: the limit has to hold before the memory is taken
         value = params[match[1]].node
         before, count = count, count + count_nodes(value)
         if count > MAX_NODES:  # a long list put in many times would take more than the file's own values may
@@ -151,11 +152,13 @@ def _matching(entries: Sequence[StageEntry], target: str) -> list[int]:
     def named(entry: StageEntry, word: str) -> tuple[bool, bool, bool]:
         return word == entry.id, word == entry.name, word in entry.name.split(".")
 
+    # an exact address wins, however many entries a part of it would fit
     full = [i for i, entry in enumerate(entries) if target == entry.address]
     if full:
         return full
     recipe, _, rest = target.partition(".")
     inside = [i for i, entry in enumerate(entries) if entry.recipe == recipe]
+    # the most exact kind of name that fits anything decides; looser ones would only add doubt
     for tier in range(3):
         found = [i for i, entry in enumerate(entries) if named(entry, target)[tier]]
         found = found or [i for i in inside if named(entries[i], rest)[tier]]
@@ -188,7 +191,9 @@ def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]
                 rows.append(dict(node.value))
             else:
                 problems.append(ConfigError("a row of a sweep is a map of parameters to values", where=node.where))
+    # `seed` varies like a parameter, though it stands for none
     names = [*params, "seed"]
+    # rows of a grid share their nodes: each is checked once, not once a row
     entries = {(name, id(entry.node)): (name, entry) for row in rows for name, entry in row.items()}
     for name, entry in entries.values():
         value = entry.node.value
@@ -214,6 +219,7 @@ def _axis(entry: Entry) -> list[Entry]:
         whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends.values())
         if {"from", "to"} <= set(ends) <= {"from", "to", "step"} and whole:
             step = ends.get("step", 1)
+            # before the range is written out, which a typing error would make as long as memory lasts
             if step > 0 and 0 <= ends["to"] - ends["from"] < MAX_ROWS * step:
                 return [Entry(entry.where, Node(number, where)) for number in range(ends["from"], ends["to"] + 1, step)]
     return []

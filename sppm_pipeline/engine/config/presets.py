@@ -51,6 +51,7 @@ def stages_of(preset: Preset, where: Position, given: Mapping[str, Node] | None 
             return Node([put_in(item) for item in value], where)
         if isinstance(value, Mapping):
             nodes = {key: put_in(item) for key, item in value.items()}
+            # a parameter of None leaves the option to its default
             return Node({key: Entry(node.where, node) for key, node in nodes.items() if node.value is not None}, where)
         match = _PARAM.fullmatch(value) if isinstance(value, str) else None
         return values[match[1]] if match else Node(value, where)

@@ -14,6 +14,7 @@ Problems = list[ConfigError]
 
 def raise_problems(problems: Iterable[SppmError]) -> None:
     """Raise what was found, each message once, in the order of the file: the only error, or a `ConfigErrors` of all."""
+    # rows of a sweep repeat what is wrong with all of them
     unique = {str(one): one for error in problems for one in getattr(error, "errors", (error,))}
     ordered = sorted(
         unique.values(), key=lambda e: (e.where.file, e.where.line, e.where.column) if e.where else ("", 0, 0)
@@ -27,6 +28,7 @@ def nearest(word: str, known: Iterable[str]) -> list[str]:
     candidates = sorted(set(known))
     if same := [name for name in candidates if name.lower() == word.lower()]:
         return same[:3]
+    # 0.6 is difflib's default; not sensitive: only which hint is given
     near = difflib.get_close_matches(word, candidates, n=3, cutoff=0.6)
     if near:
         return near

@@ -53,6 +53,7 @@ def checked(
     drafts, unfit = plan(session)
     wired, loose = wire(drafts, until, inputs=inputs)
     problems = [*unread, *unfit, *loose]
+    # a fault of the configuration would come back with each row
     if rows and not problems:
         problems = vary(session, wired, rows, until, inputs=inputs)
     estimates: list[PlanEstimate] = []
@@ -100,6 +101,7 @@ def vary(session: Session, base: Plan, rows: Sequence[Row], until: str | None, *
     sweep = session.configuration.sweep
     if sweep is not None and isinstance(sweep.value, dict):
         first = rows[0]
+        # each value once, as options are read one by one and combinations may be many
         rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
     if len(rows) > MAX_CHECKED:
         rows = [*rows[: -1 : -(-len(rows) // MAX_CHECKED)], rows[-1]]
@@ -126,6 +128,7 @@ def estimate(
     if not rows:
         found = [estimate_plan(base, until=until, history=history)]
     else:
+        # rounded up, so that there are never more
         step = -(-len(rows) // MAX_ESTIMATED)
         found = [estimate_plan(session.plan(row), until=until, history=history, of_sweep=True) for row in rows[::step]]
     unfit: list[SppmError] = [error for one in found for stage in one.stages for error in stage.unfit]

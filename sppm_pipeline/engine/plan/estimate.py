@@ -157,6 +157,7 @@ def estimate_steps(
         unknown = tuple(address for _, stage in inner for address in stage.unknown)
         total = None
         rated = 0.0
+        # results that later stages still need, this one's inputs among them
         resident = base + sum(kept.values())
         if own is None:
             unknown = (*unknown, step.address)
@@ -167,6 +168,7 @@ def estimate_steps(
             disk = own.disk + sum(repeats * one.disk for repeats, one in costs)
             seconds, resident = by_history(history.get(key, ()), rated, resident + memory)
             total = Cost(seconds, memory, own.kept, disk)
+        # stays in memory until the last stage that uses it has run
         kept[step.id] = total.kept if total else 0.0
         found.append(StageEstimate(step, size, total, rated, resident, unknown, unfit))
         for id_ in done:
@@ -262,6 +264,7 @@ def unfit_problems(
     # the user's own limit is meant as it stands
     slack = 1.0 if MEMORY in words or "--memory" in words else MAX_OVERESTIMATE
     for stage in (stage for estimate in estimates for stage in estimate.stages):
+        # only then do workers hold what the stage holds
         helpers = crew if stage.step.stage.maps else 0
         needed = stage.resident * (workers + helpers)
         if limit is not None and stage.cost is not None and needed > slack * limit:
@@ -272,6 +275,7 @@ def unfit_problems(
             )
             hint = stage.advice or "use a coarser resolution or a smaller part"
             return [ResourceError(message, hint=hint, where=stage.step.where, stage=stage.step.address)]
+    # the mean of rows that stand for all, times their number
     free, needed = free_disk(folder), sum(estimate.disk for estimate in estimates) / len(estimates) * runs
     if free is not None and needed > MAX_OVERESTIMATE * free:
         largest = max(

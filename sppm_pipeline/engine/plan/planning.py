@@ -100,6 +100,7 @@ def draft_plan(
     lists[_PIPELINE] = configuration.pipeline
     if configuration.after is not None:
         lists[_AFTER] = configuration.after
+    # before stages are looked up: a parameter may stand for the name of a stage
     put, unknown = put_in(lists, params)
     further: Problems = []
     groups: dict[str, list[StageEntry]] = {}
@@ -114,6 +115,7 @@ def draft_plan(
         if name not in groups and name in registry.presets:
             groups[name], wrong = stage_entries(stages_of(registry.presets[name], where), name)
             further += wrong
+    # over all groups at once: whether a name is ambiguous depends on all of them
     flat, amiss = override_options([entry for group in groups.values() for entry in group], overrides.options)
     further += amiss
     changed = iter(flat)
@@ -164,6 +166,7 @@ def wire_plan(drafts: Drafts, available: Mapping[str, tuple[type, ...]] | None =
         problems += loose
     inner = {name: wired.steps for name, wired in recipes.items()}
     in_run = [*pipeline.steps, *(step for steps in inner.values() for step in steps)]
+    # apart: the stages of `after` write beside the folders of the runs
     problems += [*clashes(_claims(in_run)), *clashes(_claims(after.steps))]
     warnings = [*drafts.renamed, *drafts.unused]
     everything = [step for steps in (pipeline.steps, after.steps, *inner.values()) for step in steps]
@@ -275,6 +278,7 @@ def _document(
 ) -> dict[str, Any]:
     """The configuration as a run record keeps it."""
     configuration = drafts.configuration
+    # paths are written absolute, so that the record can be run from another folder
     paths = {
         entry.node.param
         for group in (steps, after, *recipes.values())

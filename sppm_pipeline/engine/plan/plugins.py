@@ -110,6 +110,7 @@ def installed_plugins(allowed: Iterable[str] | None = None) -> Iterator[tuple[Pl
     names of distributions or of entry points.
     """
     wanted = None if allowed is None else {normal(name) for name in allowed}
+    # the order of the file system would decide otherwise who comes first
     for entry in sorted(installed.entry_points(hookspecs.PROJECT), key=lambda e: e.name):
         found = entry.dist
         plugin = Plugin(
@@ -197,6 +198,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         return
     try:
         manager.register(module, plugin.name)
+        # a misspelled hook would be ignored without a word
         manager.check_pending()
         plugin.module = module
     except (pluggy.PluginValidationError, ValueError) as error:
@@ -223,6 +225,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         plugin.error.__cause__ = error
     if isinstance(module, ModuleType) and not plugin.builtin and plugin.distribution is None:
         for cls in stage_classes(module):
+            # those that a hook names keep the name that it gives
             if cls not in plugin.stages.values():
                 plugin.stages[cls.name] = cls
 

@@ -65,6 +65,7 @@ class RunRequest:
         # a worker can't ask the user, and runs what was agreed to here
         plugins = tuple(str(Path(path).absolute()) for path in self.plugins)
         if self.text is None and self.document is None:
+            # the text travels, as the file may be changed or out of reach there
             text, folder = yaml_text(Path(self.file)), Path(self.file).parent
             return replace(self, plugins=plugins, text=text, folder=os.path.abspath(folder), trusted=True)
         return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."), trusted=True)
@@ -118,10 +119,12 @@ def open_session(request: RunRequest) -> Session:
     if request.distributions:
         named = [path for path in configuration.plugins if request.allowed is None or path.name in request.allowed]
         agreed = request.trusted or request.allowed is not None
+        # naming a file on the command line is agreement
         given = {path.resolve() for path in files}
         if not agreed and (unknown := untrusted(path for path in named if path.resolve() not in given)):
             raise UntrustedError(unknown)
         files += named
+    # single files are no distributions, and were taken above
     names = None if request.allowed is None else [name for name in request.allowed if not name.endswith(".py")]
     plugins = load_plugins(request.builtins, files=files, distributions=request.distributions, allowed=names)
     plugins.raise_broken()

@@ -102,6 +102,7 @@ def recipe_order(drafts: Mapping[str, Sequence[Draft | None]]) -> tuple[list[str
                 elif used in drafts and used not in order:
                     visit(used)
         path.pop()
+        # after all that it uses, which `visit` has put there
         order.append(name)
 
     for name in drafts:
@@ -135,6 +136,7 @@ def wire(
     problems: Problems = []
     for number, draft in enumerate(drafts):
         if draft is None:
+            # "?" is in no id, so that the place of an unknown stage hides no other
             made[f"?{number}"] = makes = None
             continue
         signature = signature_of(draft.cls)
@@ -247,6 +249,7 @@ def _sources(
             continue
         # if `from` spoke of this port, what is wrong has been said
         said = node is not None and (not isinstance(node.value, dict) or port.name in node.value)
+        # in order, so that the last is the nearest
         fitting = [id_ for id_, artifacts in made.items() if artifacts is not None and fits(artifacts, port)]
         found: dict[str, str | None]
         if port.many:

@@ -243,7 +243,7 @@ pipeline:
   - {stage: sample.dart_throwing, edge: 2 mm, total: 40, spacing: 0.1}
   - {stage: connect.mbdst}
   - {stage: field.gaussian, pore_radius: 0.6, tunnel_radius: 0.04}
-  - {stage: tune.property, recipe: cell, of: tune.porosity.porosity, target: 0.5, vary: field.gaussian.pore_radius}
+  - {stage: tune.property, recipe: cell, of: x.y, target: 0.5, vary: field.gaussian.pore_radius, low: 0.1, high: 0.3}
 """
 
 
@@ -253,7 +253,7 @@ def test_options_that_do_not_fit_the_cell_are_refused_where_they_stand(here, cap
     (here / "cell.yaml").write_text(CELL)
     assert sppm(verb, "cell.yaml") == 2
     said = capsys.readouterr().err
-    assert "cell.yaml:11:5: stage 'field.gaussian': the length 0.6 has no unit and counts in cell sizes" in said
+    assert "cell.yaml:11:13: stage 'field.gaussian': the length 0.6 has no unit and counts in cell sizes" in said
     assert "write `0.6 mm`, or `0.6 cell` if it is 0.6 cell sizes" in said
     assert "cell.yaml:7" not in said
     assert not (here / "runs").exists()
@@ -264,7 +264,7 @@ def test_options_that_do_not_fit_the_cell_are_refused_where_they_stand(here, cap
     said = capsys.readouterr().err
     assert "stage 'cell.field.gaussian': the length 0.12 mm has a physical unit, but the cell has no physical" in said
     sweep = CELL.split("recipes:")[0] + "params: {r: 0.2}\nsweep: {r: [0.2, 0.7]}\n"
-    pipeline = "pipeline:" + CELL.split("pipeline:")[1].rpartition("  - ")[0].replace("0.6", "$r")
+    pipeline = "pipeline:" + CELL.split("pipeline:")[1].rpartition("  - ")[0].replace("0.6", '"${r}"')
     (here / "cell.yaml").write_text(sweep + pipeline)
     assert sppm("check", "cell.yaml") == 2
     assert "the length 0.7 has no unit" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from sppm_pipeline.nouns import StiffnessReport
 class DensityLaw(Stage):
     """Multiply the stiffness of the solid by ``prefactor * density^exponent``, the law of Gibson and Ashby for foams.
 
-    It knows nothing of the structure; what a solver finds above or below it is what the structure does.
+    It does not model the structure; what a solver finds above or below it is what the structure does.
     """
 
     name: ClassVar[str] = "homogenize.my_word"
