@@ -52,6 +52,7 @@ def whole_numbers(values: Any, dtype: Any, what: str) -> NDArray[Any]:
     array = np.asarray(values)
     if array.size == 0:
         return array.astype(dtype)
+    # booleans, complex numbers and strings count nothing
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{what} are whole numbers, got {array.dtype}")
     if array.dtype.kind == "f" and (odd := array != np.floor(array)).any():
@@ -82,11 +83,13 @@ def twin_rows_of(number: int, columns: Callable[[slice], Sequence[NDArray[Any]]]
             part ^= np.ascontiguousarray(column).view(np.uint64)
             part *= np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio, as Fibonacci hashing has it
             part ^= part >> np.uint64(29)
+    # equal rows have equal hashes, and stand side by side then
     mixed.sort()
     if not (mixed[1:] == mixed[:-1]).any():
         return None
     every = columns(slice(0, number))
     by_row = np.lexsort(every)
+    # two hashes may be equal by chance: the rows themselves decide
     same = np.ones(max(len(by_row) - 1, 0), bool)
     for column in every:
         same &= column[by_row][1:] == column[by_row][:-1]
@@ -252,6 +255,7 @@ def shown(value: Any) -> str:
 
 def escaped(text: str, most: int = 400) -> str:
     """A name or value as HTML shows it, cut if it is very long."""
+    # cut first, so that no entity is cut in two
     return html.escape(text[:most])
 
 
@@ -287,6 +291,7 @@ def _feed(h: Any, value: Any) -> None:
             h.update(f"{name}=".encode())
             _feed(h, getattr(value, name))
     elif isinstance(value, np.ndarray):
+        # `dtype.str` names the byte order, on which the bytes depend
         h.update(f"array{value.dtype.str}{value.shape};".encode())
         h.update(np.ascontiguousarray(value).data)
     elif isinstance(value, (tuple, list)):

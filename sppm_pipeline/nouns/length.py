@@ -109,11 +109,13 @@ def voxel_mm(pixel: Pixel, layer: Length | None) -> tuple[float, float, float]:
         If only one of two pitches has a unit, or pixels that are not square leave the layer height open.
     """
     x, y = pixel if isinstance(pixel, tuple) else (pixel, pixel)
+    # a bare number is millimeters here, so that 19 beside 24 um would be 19 mm
     if (x.unit is None) != (y.unit is None):
         raise ConfigError(
             f"of `pixel: [{x}, {y}]` one has a unit and the other has none",
             hint="write both with their unit, for example `pixel: [0.019 mm, 0.024 mm]`",
         )
+    # 1e-9 allows for rounding of units, as 50 um and 0.05 mm
     if layer is None and not math.isclose(x.mm(), y.mm(), rel_tol=1e-9):
         raise ConfigError(
             f"`pixel: [{x}, {y}]` needs a `layer`: pixels that are not square don't tell how high a layer is",

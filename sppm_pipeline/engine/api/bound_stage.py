@@ -153,6 +153,7 @@ class BoundStage:
         for artifact in artifacts:
             # a port given by name takes no artifact by type
             left = [port for port in ports if port.name not in named and (port.many or port.name not in taken)]
+            # in the order of the signature, so that two artifacts of a type go to the first and the second port
             fitting = [port for port in left if fits((type(artifact),), port)]
             if not fitting:
                 raise _unfit(self.name, artifact, left)
@@ -189,6 +190,7 @@ class BoundStage:
                 )
             entry["recipe"] = RECIPE
             document["recipes"] = {RECIPE: [entry_of(stage) for stage in self.recipe]}
+        # stands where messages have the file
         where = f"sppm.{self.name}"
         configuration, _ = parse_configuration(compose(document, where), Path(where), Path.cwd())
         return make_plan(configuration, registry(), available=available)

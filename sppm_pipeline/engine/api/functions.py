@@ -81,6 +81,7 @@ class StageFunction:
 def _signature(cls: type[Stage]) -> inspect.Signature:
     """Ports by position, options by keyword, as editors and `help` show them."""
     kind = inspect.Parameter
+    # options by keyword only: their order may change
     parameters = [kind("artifacts", kind.VAR_POSITIONAL)]
     parameters += [
         kind(
@@ -125,6 +126,7 @@ class Family:
             # now, so that a misspelled stage is an AttributeError here and not an error of a later call
             registry().get(f"{self._name}.{word}")
         except ConfigError as error:
+            # as `hasattr` and completion expect
             raise AttributeError(str(error)) from None
         return self._make(f"{self._name}.{word}")
 

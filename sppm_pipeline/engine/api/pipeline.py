@@ -103,6 +103,7 @@ class Pipeline:
 
     @classmethod
     def _of(cls, request: RunRequest) -> Pipeline:
+        # past `__init__`, which takes stages
         made = cls.__new__(cls)
         made._request = request
         return made
@@ -154,6 +155,7 @@ class Pipeline:
         if document is None:
             text = self._request.text
             document = plain(parse_yaml(text, self._request.file) if text is not None else read_yaml(file))
+            # as a file that names no design is called
             document.setdefault("name", file.stem)
         folder = self._request.folder or str(file.absolute().parent)
         return self._of(replace(self._request, text=None, document={**document, "sweep": sweep}, folder=folder))
@@ -251,6 +253,7 @@ class Pipeline:
         return f"<Pipeline {self._request.file}>"
 
     def _repr_html_(self) -> str:
+        # cut, as a pipeline may hold long lists
         return f"<pre>{escaped(self.to_yaml(), 60_000)}</pre>"
 
 

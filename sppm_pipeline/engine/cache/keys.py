@@ -190,6 +190,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[s
             f"to {new_code.get('version')}"
         )
     elif old_code != new_code:
+        # of one version: sources that were edited
         yield f"the code of {new_code.get('supplier')} has changed"
     yield from _changed_recipes(before.get("recipes", {}), now.get("recipes", {}))
     old_world, new_world = before.get("environment", {}), now.get("environment", {})

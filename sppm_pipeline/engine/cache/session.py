@@ -236,6 +236,7 @@ class CacheSession:
     def _give_up(self, error: Exception) -> None:
         """Report, once, that nothing can be kept."""
         self._broken = True
+        # nothing more is kept, so that these need not wait in memory
         self._facts.clear()
         detail = error.strerror if isinstance(error, OSError) else error
         self._warn(
@@ -245,6 +246,7 @@ class CacheSession:
     def keep_again(self, step: Step, made: Any, inputs: Mapping[str, Any], seconds: float) -> None:
         """Keep the artifact of a step of which only the facts were kept, if that is worth it now."""
         entry = self._entries.get(step.id)
+        # outputs are on the disk already, and would be lost by putting an entry without them
         if entry is not None and not entry.has_outputs:
             self.keep(step, entry.facts, made, inputs, outputs=(), seconds=seconds, drew=entry.manifest["random"])
 

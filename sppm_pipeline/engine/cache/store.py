@@ -190,6 +190,7 @@ class Store:
             if there is None:
                 self.remove(key)
                 continue
+            # one may hold the artifact and the other the files, depending on what a run could afford
             mine = Entry(key, fresh, read_sealed((fresh / MANIFEST).read_bytes()))
             if (there.has_value or not mine.has_value) and (there.has_outputs or not mine.has_outputs):
                 return

@@ -25,7 +25,7 @@ def add_limits(parser: ArgumentParser) -> None:
         "--memory",
         type=size,
         metavar="SIZE",
-        help="memory that the run may take, for instance 2G: it is refused if the forecast is more, and ended when it "
+        help="memory that the run may take, for instance 2G: it is refused if the estimate is more, and ended when it "
         "takes more; what the machine has free if omitted",
     )
     parser.add_argument(

@@ -40,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0  # the reader of our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
         _say_exit_message(words)
+        # as shells report the signal; SIGINT is 2
         return 128 + getattr(error, "number", 2)
     except Exception as error:
         return _reported(error, "--debug" in words)
@@ -82,6 +83,7 @@ def _whole() -> int:
 
     code = main()
     with doing(Activity("an exit handler of a plugin or a library", False, kind="exit"), import_seconds()):
+        # `os._exit` skips them, and plugins may flush files there
         atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
@@ -105,6 +107,7 @@ def _dispatch(words: list[str]) -> int:
     # a plugin can't replace a built-in verb, and none is imported for one
     command = _built_in(verb) or _of_plugin(verb, words)
     parser = argparse.ArgumentParser(
+        # one parser for the verb that is used: those of all would import all features
         prog=f"sppm {verb}",
         description=command.help[0].upper() + command.help[1:] + ".",
         epilog=EXIT_CODES,

@@ -81,9 +81,11 @@ class ProgressLines(Waiting):
         self._begin(f"[{number}/{total}] {stage}")
         begun = self._clock()
         super().stage_started(stage, number, total)
+        # `super` waits for the kernels of this stage
         waited = self._clock() - begun
         if waited > 1:
             self._settle(f"{self._title}: kernels compiled, {_duration(waited)}; once, then they are kept")
+        # the clock of the stage starts after that
         self._begin(self._title)
         self._record(f"{self._title} begins")
 

@@ -238,6 +238,7 @@ def _edges(plan: Plan) -> Iterator[tuple[str, str, str, bool]]:
                     yield _key(here, source, is_after), _key(here, step.id, is_after), f"{port}: {made[source]}", False
             for port, recipe in step.recipes.items():
                 last = plan.recipes[recipe][-1]
+                # what a recipe makes is what its last stage makes
                 yield _key(recipe, last.id, False), _key(step.entry.recipe, step.id, is_after), port, True
 
 

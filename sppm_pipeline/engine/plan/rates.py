@@ -106,6 +106,7 @@ def remember(store: Store, took: Iterable[tuple[str, Seen]]) -> None:
     history = history_of(store)
     news = [(name, seen) for name, seen in took if not _is_known(history.get(name, ()), seen)]
     for name, seen in news:
+        # four digits keep the file small and are more than a time is reproducible to
         history[name] = [*history.get(name, ()), Seen(*(float(f"{number:.4g}") for number in seen))][-MAX_SEEN:]
     if news:
         with contextlib.suppress(OSError):  # a full disk: the next estimate is as good as this one
@@ -115,6 +116,7 @@ def remember(store: Store, took: Iterable[tuple[str, Seen]]) -> None:
 def _is_known(runs: Sequence[Seen], seen: Seen) -> bool:
     """True if the last run of this size took the same, up to noise."""
     near = [one for one in runs if max(one.rated, seen.rated) <= SAME * min(one.rated, seen.rated)]
+    # 10 % or 0.05 s of time and 1 % of memory are noise of a machine that does other work as well
     return bool(near) and (
         abs(near[-1].seconds - seen.seconds) < max(0.05, 0.1 * seen.seconds)
         and abs(near[-1].peak - seen.peak) < 0.01 * seen.peak
