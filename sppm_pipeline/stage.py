@@ -350,8 +350,9 @@ class Stage(ABC):
     def estimate(self, palette: Palette, *inputs: Any, **ports: Any) -> Size | None:
         """Estimate the size of the result and of the work, within milliseconds; None if that is unknown.
 
-        Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. What
-        raises `LookupError`, because the geometry of an input is unknown, or an error of this program, is unknown as
+        Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. A
+        `ConfigError`, of options that do not fit the inputs, is reported by a check before any work. What raises
+        `LookupError`, because the geometry of an input is unknown, or another error of this program, is unknown as
         well; other errors trigger a warning, as mistakes.
         """
         return None
