@@ -181,10 +181,12 @@ class Size:
     outline: float = 0.0
     design: CellDesign | None = None
     geometry: Geometry | None = None
+    result: Size | None = None
+    """What later stages see where the counts are work alone, as in a search that makes many candidates."""
 
     def units(self) -> dict[str, float]:
         """The counts that are not zero."""
-        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("design", "geometry")}
+        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("design", "geometry", "result")}
         return {name: count for name, count in found.items() if count}
 
     @property

@@ -148,7 +148,8 @@ def estimate_steps(
     for step, done in zip(steps, last_uses(steps), strict=True):
         inner: list[tuple[float, StageEstimate]] = []
         made = _size(step, sizes, recipes, palette, history, inner)
-        size = sizes[step.id] = None if isinstance(made, ConfigError) else made
+        size = None if isinstance(made, ConfigError) else made
+        sizes[step.id] = size and (size.result or size)
         # a stage with `vary` replaces options of its recipe, whose own values then need not be allowed
         unfit = () if hasattr(step.stage, "vary") else tuple(error for _, stage in inner for error in stage.unfit)
         unfit = (*unfit, made) if isinstance(made, ConfigError) else unfit
@@ -212,7 +213,7 @@ def _size(
             made = [stage for stage in stages if kind is None or makes_kind(stage.step, kind)]
             if not made or (size := made[-1].size) is None:
                 raise LookupError(f"the size of what {name!r} makes is unknown")
-            return size
+            return size.result or size
 
         return of
 

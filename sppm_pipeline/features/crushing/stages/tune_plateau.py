@@ -38,7 +38,7 @@ class TunePlateau(Crusher, Tuner):
         """The first trials, and the two that usually follow."""
         made = recipe(palette, self.first + 2)
         crushed = self.crushing(made)
-        return replace(crushed, voxels=(self.first + 2) * crushed.voxels, design=made.design)
+        return replace(crushed, voxels=(self.first + 2) * crushed.voxels, result=made)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Crush, propose, correct."""

@@ -49,7 +49,7 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
         """The first trials, and the two that usually follow; the porosity that is found is not known beforehand."""
         trials = self.first + 2
         made = recipe(palette, trials)
-        return replace(self.solving(made, self.resolution, trials * self.effort), design=made.design)
+        return replace(self.solving(made, self.resolution, trials * self.effort), result=made)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Sample, propose, correct."""
