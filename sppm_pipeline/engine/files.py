@@ -103,10 +103,7 @@ _NO_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP})
 def sync(path: str | Path) -> None:
     """Wait until the disk has a file, or the names in a folder, where the file system can do that.
 
-    Raises
-    ------
-    OSError
-        If the disk failed: data may be lost though every write to the file succeeded.
+    `OSError` means that the disk failed: data may be lost though every write to the file succeeded.
     """
     if os.name == "nt" and os.path.isdir(path):  # folders can't be opened there
         return
@@ -128,10 +125,7 @@ def _sync_open(descriptor: int) -> None:
 def sync_file_system(path: str | Path) -> bool:
     """Wait until the disk has everything of the file system in which `path` lies; False where there is no syncfs(2).
 
-    Raises
-    ------
-    OSError
-        If the disk failed, since Linux 5.8 also if it did so before this call.
+    `OSError` means that the disk failed, since Linux 5.8 also if it did so before this call.
     """
     if sys.platform != "linux":
         return False
@@ -157,19 +151,10 @@ def make_folder(path: Path) -> set[Path]:
 
 
 def put_into_place(staged: Path, final: Path, aside: Callable[[], Path]) -> set[Path]:
-    """Move a finished file or folder to its name, over what an earlier run left there.
+    """Move a finished file or folder to its name on the same file system, over what an earlier run left there.
 
-    Parameters
-    ----------
-    staged, final : Path
-        On one file system.
-    aside : function
-        A path for what makes way: only a file takes the place of a file in one step.
-
-    Returns
-    -------
-    set of Path
-        Folders with new names in them, which `sync` makes lasting.
+    `aside` gives a path for what makes way: only a file takes the place of a file in one step. Returned are the folders
+    with new names in them, which `sync` makes lasting.
     """
     changed = {final.parent, *make_folder(final.parent)}
     if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
@@ -181,12 +166,7 @@ def put_into_place(staged: Path, final: Path, aside: Callable[[], Path]) -> set[
 def write_whole(path: Path, text: str, *, durable: bool = True, mode: int | None = None) -> None:
     """Write a text file so that it is there whole or not at all; if `durable`, even if the machine stops.
 
-    Permissions are `mode`, or those of any new file.
-
-    Raises
-    ------
-    ResourceError
-        If the disk is full or a permission is missing.
+    Permissions are `mode`, or those of any new file. `ResourceError` if the disk is full or a permission is missing.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:

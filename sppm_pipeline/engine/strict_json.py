@@ -12,12 +12,9 @@ from typing import Any
 
 
 def jsonable(value: Any) -> Any:
-    """`value` with numpy numbers and arrays as plain ones, tuples as lists, NaN and infinities as None.
+    """`value` as JSON has it, or `TypeError`: numpy's numbers and arrays, tuples, NaN and infinities become plain ones.
 
-    Raises
-    ------
-    TypeError
-        If it can't be written as JSON.
+    Arrays and tuples become lists, NaN and infinities None.
     """
     plain: Any
     if value is None or isinstance(value, (bool, str)):
@@ -76,13 +73,7 @@ def sealed(value: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_sealed(data: bytes) -> dict[str, Any]:
-    """The content of a sealed file.
-
-    Raises
-    ------
-    BrokenSealError
-        If it has no seal, or the seal does not fit.
-    """
+    """The content of a sealed file; `BrokenSealError` if it has no seal, or the seal does not fit."""
     end = _END.search(data)
     if end is None:
         raise BrokenSealError("the digest at its end is missing")

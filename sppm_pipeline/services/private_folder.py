@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def make_private(path: Path) -> None:
-    """Make a folder and missing ones above it, closed to other users; an OSError if that is not possible."""
+    """Make a folder and missing ones above it, closed to other users."""
     for folder in reversed([folder for folder in (path, *path.parents) if not folder.is_dir()]):
         with contextlib.suppress(FileExistsError):  # another process has made it meanwhile
             os.mkdir(folder, 0o700)
@@ -24,9 +24,9 @@ def make_private(path: Path) -> None:
 def exposure(path: Path) -> str:
     """Reason why another user may have written to a folder; empty if none can.
 
-    The folder itself must belong to this user or to root, be no link, and closed to writers; the one it lies in either
-    closed or sticky, as the temporary folder is, so that no other user can put another in its place. The folders above
-    are the user's choice.
+    The folder itself must be ours or root's, no link, and closed to writers; the one it lies in either closed or
+    sticky, as the temporary folder is, so that nobody else can put another in its place. The folders above are the
+    user's choice.
     """
     if sys.platform == "win32":  # folders of a user are closed by their access lists
         return ""

@@ -36,20 +36,9 @@ _TEXT, _WORDS = _ENDS + 8, _ENDS + 8 + _AREA
 
 
 class Activity(NamedTuple):
-    """Current activity of a process.
+    """Current activity of a process; `kind` ("stage", "import" or "exit") tells which limit ends it.
 
-    Attributes
-    ----------
-    what : str
-        Who does what, as the subject of a sentence.
-    builtin : bool
-        Whether it is code of this program.
-    where : str
-        Place in the configuration, or nothing.
-    stage : str
-        Id of the stage, or nothing.
-    kind : {"stage", "import", "exit"}
-        Which limit ends it.
+    `what` is the subject of a sentence, `where` a place in the configuration or empty, `stage` an id or empty.
     """
 
     what: str
@@ -103,14 +92,7 @@ def of_run(name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def doing(activity: Activity, seconds: float = math.inf) -> Iterator[None]:
-    """Note what is being done; what was being done before is noted again at the end.
-
-    Parameters
-    ----------
-    activity : Activity
-    seconds : float
-        After which the supervisor ends the process.
-    """
+    """Note the activity, which the supervisor ends after `seconds`; the one before is noted again at the end."""
     if _shared is None:
         yield
         return
@@ -162,12 +144,9 @@ def current(file: Path | None = None) -> Activity | None:
 
 
 def limit_run(seconds: float) -> None:
-    """Have the supervisor end this process after so many seconds.
+    """Have the supervisor end this process after so many seconds; `ConfigError` if there is none.
 
-    Raises
-    ------
-    ConfigError
-        If there is no supervisor: where the system can't fork processes, or the program is used from Python.
+    There is none where the system can't fork processes, or the program is used from Python.
     """
     if _shared is None:
         raise ConfigError("--time-limit needs a supervising process, which only the command on Linux and macOS has")
@@ -203,13 +182,7 @@ def overdue_file(notes: Path) -> Path:
 
 
 def note_overdue(notes: Path | None = None) -> None:
-    """Write down what was being done when its time was up; the process is about to be ended.
-
-    Parameters
-    ----------
-    notes : Path, optional
-        The shared file; that of this process if omitted.
-    """
+    """Write into the shared file (that of this process if omitted) what was being done when the time was up."""
     if (notes := notes or _file) is None:
         return
     now = current(notes) or Activity("the run", True)

@@ -46,15 +46,7 @@ EXHAUSTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EPERM,
 
 
 class Allowance(NamedTuple):
-    """A limit of memory.
-
-    Attributes
-    ----------
-    bytes : int
-        That may be resident in this process, what it holds now included.
-    source : str
-        What sets the limit, as the beginning of a sentence.
-    """
+    """A limit of the `bytes` resident in this process, what it holds now included; `source` begins a sentence."""
 
     bytes: int
     source: str
@@ -67,13 +59,7 @@ def requested_memory() -> int | None:
 
 
 def allowed_memory(limit: int | None = None) -> Allowance:
-    """The memory that this process may hold.
-
-    Parameters
-    ----------
-    limit : int, optional
-        The user's limit in bytes; that of ``--memory`` if omitted.
-    """
+    """The memory that this process may hold; `limit` is the user's in bytes, that of ``--memory`` if omitted."""
     resident, reserved = _held()
     limit = requested_memory() if limit is None else limit
     # what this process holds now counts as allowed: only what is added can be refused
@@ -111,23 +97,9 @@ def planning_memory() -> int:
 
 
 def require_memory(needed: float, what: str, hint: str, *, limit: int | None) -> None:
-    """Refuse what would not fit.
+    """Raise `ResourceError` if so many bytes are not available; `limit` is for the whole process.
 
-    Parameters
-    ----------
-    needed : float
-        Bytes.
-    what : str
-        What needs them, as the beginning of a sentence.
-    hint : str
-        What to change.
-    limit : int or None
-        Bytes that the whole process may take; `Context.memory_limit`.
-
-    Raises
-    ------
-    ResourceError
-        If less is available.
+    `what` needs them, as the beginning of a sentence; `hint` says what to change.
     """
     available = available_memory(limit)
     if needed > available:
@@ -179,12 +151,8 @@ def _address_space() -> int | None:
 class _Files(NamedTuple):
     """Names of the files of a memory controller.
 
-    Attributes
-    ----------
-    limits : tuple of str
-    used : str
-    cached : tuple of str
-        Keys in ``memory.stat`` of file contents that are given up when memory is needed, the preferred first.
+    `cached` are the keys in ``memory.stat`` of file contents that are given up when memory is needed, the preferred
+    first.
     """
 
     limits: tuple[str, ...]
@@ -201,8 +169,8 @@ _VERSION_2 = _Files(("memory.max", "memory.high"), "memory.current", ("inactive_
 def control_groups() -> Iterator[int]:
     """Bytes that each control group with a limit leaves, of the groups that this process is in (cgroups(7)).
 
-    Both versions are looked at, as both may be mounted; the own group and all groups above it as far as they can be
-    seen, as each of them limits the sum of those below it.
+    Both versions, as both may be mounted; the own group and all above it in sight, as each limits the sum of those
+    below.
     """
     for files, folder, top in _mounted_groups():
         for group in (folder, *folder.parents):

@@ -37,10 +37,7 @@ class _TimeUp(BaseException):
 def contained(fault: Callable[[str], SppmError]) -> Iterator[None]:
     """Run code of a plugin: nothing but an `Exception` leaves, stdout stays clean, the working folder is put back.
 
-    Parameters
-    ----------
-    fault : callable
-        Makes the error that names the plugin, from a description of what it did.
+    `fault` makes the error that names the plugin, from a description of what it did.
     """
     folder, streams = _working_folder(), _open_streams()
     interrupts = _Interrupts()
@@ -172,23 +169,11 @@ def stage_seconds() -> float | None:
 
 @contextlib.contextmanager
 def limited(what: str, *, builtin: bool, where: Position | None = None, stage: str | None = None) -> Iterator[None]:
-    """End what runs inside when the time of a stage is up.
+    """End what runs inside when the time of a stage is up: `PluginError`, or `ResourceError` if it is built in.
 
     Python code is interrupted where it is. Compiled code can't be, nor can what sleeps outside of the main thread; if
     it has not returned `GRACE` seconds later, records are put in order and the process is ended, with the same message.
-
-    Parameters
-    ----------
-    what : str
-        The stage and its owner, for the message.
-    builtin : bool
-    where, stage : optional
-        Place and id of the stage, for an error that is not caught any more.
-
-    Raises
-    ------
-    PluginError, ResourceError
-        Of a plugin and of a built-in stage.
+    `what` is the stage and its owner, for the message.
     """
     seconds = stage_seconds()
     activity = Activity(what, builtin, str(where or ""), stage or "")

@@ -61,13 +61,7 @@ class ArraySpec(NamedTuple):
 
 
 def write_arrays(folder: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write each array to ``<name>.npy``.
-
-    Raises
-    ------
-    ValueError
-        If a name is no identifier, or a value no array of numbers.
-    """
+    """Write each array to ``<name>.npy``; `ValueError` if a name is no identifier or a value no array of numbers."""
     for name, array in arrays.items():
         if not name.isidentifier():
             raise ValueError(f"the name of an array must be an identifier, got {name!r}")
@@ -78,13 +72,7 @@ def write_arrays(folder: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(folder: Path, returns: Mapping[str, ArraySpec]) -> dict[str, NDArray[Any]]:
-    """Read the expected arrays and check them.
-
-    Raises
-    ------
-    ValueError
-        If one is missing, is no complete .npy file, or is not as expected.
-    """
+    """Read the expected arrays; `ValueError` if one is missing, incomplete or not as expected."""
     arrays = {}
     for name, spec in returns.items():
         path = folder / f"{name}.npy"

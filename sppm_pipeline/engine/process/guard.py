@@ -1,9 +1,7 @@
 """The guard of a worker of a sweep: ends the worker when a stage of it has used up its time. Run as a script.
 
 A worker that is stuck in compiled code or stopped can't watch over itself, and the process that hands out its rows may
-be on another machine. Its guard, a child of it, reads the page of activity as the supervisor does. It ends with the
-worker, and loads little.
-
+be on another machine. Its guard, a child of it, reads the page of activity as the supervisor does, and ends with it.
 Standard input: the file that the worker shares, a line each time that it begins another row.
 """
 

@@ -136,14 +136,9 @@ def on_register(observer: Callable[[Path], None]) -> None:
 
 
 def cancel_all(error: SppmError | None = None, offender: int | None = None) -> None:
-    """End the child processes and cancel everything that runs; the last to begin comes first.
+    """End the child processes and cancel everything that runs, the last to begin first; no `error` means an interrupt.
 
-    Parameters
-    ----------
-    error : SppmError, optional
-        Why, if it was no interrupt.
-    offender : int, optional
-        The thread whose runs have failed by it; those of others are interrupted.
+    Only runs of the thread `offender` have failed by the error; those of others are interrupted.
     """
     # workers of a sweep end by SIGTERM, supervisors of native children then end what is below them
     signal_below(os.getpid(), signal.SIGTERM, recursive=False)
@@ -154,21 +149,10 @@ def cancel_all(error: SppmError | None = None, offender: int | None = None) -> N
 
 
 def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
-    """Do `work` in a thread, and end it when a signal comes.
+    """Do `work` in a thread, and raise `Interrupted` if a signal came and it has ended in time.
 
-    The work is asked to stop: `KeyboardInterrupt` is raised in it at its next step of Python. If it is inside of
-    compiled code for longer than `PATIENCE`, its records are put in order from here, and the process is ended.
-
-    Parameters
-    ----------
-    work : function
-    notify : function
-        Notifies the user, before the process is ended.
-
-    Raises
-    ------
-    Interrupted
-        If a signal came and the work has ended in time.
+    `KeyboardInterrupt` is raised in the work at its next step of Python. If it is inside of compiled code for longer
+    than `PATIENCE`, its records are put in order from here, the user is told by `notify`, and the process is ended.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()
@@ -257,14 +241,9 @@ def _ignore_interrupts(before: Callable[[Any], Any], unraisable: Any) -> None:
 def raise_in(thread: int, kind: type[BaseException] | None) -> None:
     """Raise an exception in another thread, at its next step of Python; None takes back what was not raised yet.
 
-    Python looks for the first thread of that number, and a thread that is about to begin still has the number of the
-    one that starts it: it would die of the exception, and the right one go on. So this waits until none is beginning.
-
-    Parameters
-    ----------
-    thread : int
-        As `threading.get_ident` numbers them.
-    kind : type or None
+    Python looks for the first thread of that number (`threading.get_ident`), and a thread that is about to begin still
+    has the number of its starter: it would die of the exception, and the right one go on. So this waits until none
+    begins.
     """
     import ctypes
 

@@ -28,13 +28,9 @@ _thread: threading.Thread | None = None
 
 
 class PeakWatch:
-    """Watches the memory of this process, native children left out, while it is entered.
+    """Watches the memory of this process and of all its threads, native children left out, while it is entered.
 
-    Attributes
-    ----------
-    mb : float
-        The largest resident size, MB: exact if there was none larger before, else the largest seen every `PERIOD`.
-        What goes on in other threads at the same time is counted, too.
+    `mb` is the largest resident size, MB: exact if there was none larger before, else the largest seen every `PERIOD`.
     """
 
     mb = 0.0

@@ -53,18 +53,10 @@ MarkEnded = Callable[[Path, str, SppmError | None], None]
 
 
 def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_message: str, mark_ended: MarkEnded) -> int:
-    """Do `work` in a child process and return its exit code.
+    """Do `work` in a child process, which is left at once when it ends, and return its exit code.
 
-    Parameters
-    ----------
-    work : function
-        Returns an exit code; runs in the child, which is left at once when it ends.
-    notify : function of str
-        Notifies the user.
-    exit_message : str
-        Message for the user if the work was interrupted.
-    mark_ended : function of path, status and error
-        Puts a run directory in order that the child can't put in order any more.
+    `notify` and `exit_message` are for the user, the latter if the work was interrupted; `mark_ended(path, status,
+    error)` puts a run directory in order that the child can't put in order any more.
     """
     if not hasattr(os, "fork"):
         return work()

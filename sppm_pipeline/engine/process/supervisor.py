@@ -1,16 +1,12 @@
 """The process between the main process and the worker. Run as a script.
 
-It loads little of the standard library, so as to be there at once, and psutil only if there is something left to end.
-
-The worker may be stuck in native code, so it can't watch over itself; and our process may be killed at any time, so it
-can't do that either. This process does nothing else. It ends the worker and every process below it when its standard
-input is closed, which happens when the parent closes it or dies; and also when the worker has ended.
-
-On Linux, orphaned descendants are handed to it ("subreaper"), so that one that has left the worker's process group is
-found, too. Elsewhere only the worker's group is ended.
+The worker may be stuck in native code and the main process be killed at any time; this process does nothing but wait.
+It ends the worker and every process below it when its standard input is closed, which happens when the parent closes it
+or dies, and also when the worker has ended. On Linux, orphaned descendants are handed to it ("subreaper"), so that one
+that has left the worker's process group is found, too; elsewhere only the group is ended.
 
 Arguments: number of the parent process, file descriptor of the progress pipe, path of the worker script, private
-folder, and the folder from which psutil is loaded.
+folder, and the folder from which psutil is loaded (only if there is something left to end).
 Standard input: the life line. Standard output: how the worker ended, one line. Standard error: the worker's output.
 """
 

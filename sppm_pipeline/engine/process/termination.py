@@ -38,17 +38,10 @@ class Task(NamedTuple):
 
 
 class Termination(NamedTuple):
-    """End of the child.
+    """End of the child, with the last `step` that was reported and the end of the `output`.
 
-    Attributes
-    ----------
-    how : str
-        "0" or another exit code, a negative number for a signal, "time" for the limit, "stop" for `stop_all`, and
-        nothing at all if the supervisor was killed.
-    step : str
-        The last step that was reported.
-    output : bytes
-        The end of what was printed.
+    `how` is an exit code in decimal digits, negative for a signal, "time" for the limit, "stop" for `stop_all`, and
+    empty if the supervisor was killed.
     """
 
     how: str

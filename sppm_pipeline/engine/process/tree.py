@@ -15,16 +15,9 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 
 
 def signal_below(pid: int, number: int, *, recursive: bool = True) -> None:
-    """Send a signal to all processes below one, orphans that it adopted included.
+    """Send a signal to all processes below one, orphans that it adopted included, but not to itself.
 
-    Parameters
-    ----------
-    pid : int
-        Nothing is sent to this process itself.
-    number : int
-        The signal.
-    recursive : bool
-        Whether those below its children get it as well.
+    Unless `recursive`, only its children get it.
     """
     # if psutil can't be loaded any more (no descriptor is left), `die_with_parent` is what remains
     with contextlib.suppress(ImportError, OSError):

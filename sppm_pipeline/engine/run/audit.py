@@ -21,20 +21,9 @@ class AuditBreach(DesignError):
 
 
 def audited(record: Mapping[str, Any], plugins: Sequence[Plugin], warn: Callable[[str], None]) -> dict[str, Any]:
-    """The entry `audit` of a record.
+    """The entry `audit` of a record that has the entries of all stages; what a plugin raises becomes a warning.
 
-    Parameters
-    ----------
-    record : mapping
-        With the entries of all stages.
-    plugins : sequence of Plugin
-        What one raises becomes a warning.
-    warn : function of str
-
-    Returns
-    -------
-    dict
-        ``verdict`` ("passed", "breach" or "nothing to compare") and ``comparisons``.
+    ``verdict`` is "passed", "breach" or "nothing to compare".
     """
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)

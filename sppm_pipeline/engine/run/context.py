@@ -49,15 +49,9 @@ def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.rand
 class StageLog:
     """Reports of the stages of one step of the pipeline, those of its recipes included.
 
-    Attributes
-    ----------
-    values : dict of stage address to dict
-    warnings : list of (address, message)
-        Each once, however often it was said.
-    inner : dict of address to dict
-        Stages of recipes: how often they ran, how long, and their last summary.
-    drew : bool
-        Whether anybody asked for random numbers; if not, the seed has no part in the result.
+    By address: `values`, and of stages of recipes `inner`: how often they ran, how long, and their last summary.
+    `warnings` are pairs of address and message, each once. `drew` tells whether anybody asked for random numbers; if
+    not, the seed has no part in the result.
     """
 
     def __init__(self, monitor: Monitor, step: str) -> None:
@@ -105,27 +99,9 @@ class StageLog:
 class RunContext(Context):
     """The context of one stage.
 
-    Parameters
-    ----------
-    seed : int
-        Kept to itself: who asks for random numbers is noted.
-    path : tuple of str
-        See `generator`.
-    address : str
-        How messages name the stage.
-    threads : int
-    palette : Palette
-    log : StageLog
-    folder : RunFolder, Scratch or None
-        None if there is nowhere to write.
-    store : Store or None
-        The cache, which keeps what stages have not finished; None if nothing is kept.
-    crew : WorkerPool or None
-        The run's workers; None if all work is done in this process.
-    begun : object or None
-        See `Context`.
-    readers : function
-        What `begin_readers` returns.
+    `path` is that of `generator`, `address` what messages call the stage. The seed is private, as who asks for random
+    numbers is noted. Without a `folder` there is nowhere to write, without a `store` nothing unfinished is kept, and
+    without a `crew` all work is done in this process. `readers` is what `begin_readers` returns.
     """
 
     def __init__(

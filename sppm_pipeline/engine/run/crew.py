@@ -48,33 +48,9 @@ class _Job:
 class WorkerPool:
     """The workers of one run, started when a stage first asks for them.
 
-    Parameters
-    ----------
-    plugins : Plugins
-    path : Path
-        The run directory, which the workers share.
-    executor : str or None
-        See `make_executor`.
-    workers : int
-    threads : int
-        Threads of all workers together.
-    cache : Path or None
-        Folder of the cache.
-    retries : int
-        How often an item whose worker died is handed out again.
-    same_processor : bool
-        Refuse workers on another kind of processor.
-    monitor : Monitor, optional
-    fewest : float
-        Samples that are worth workers; see `min_samples`.
-
-    Attributes
-    ----------
-    workers : int
-    threads : int
-        Threads of each worker.
-    warn : function
-        Called once with each warning of a worker.
+    `path` is the run directory, which they share; `threads` are those of all workers together, as argument, and of
+    each, as attribute; an item whose worker died is handed out again `retries` times; stages below `fewest` samples get
+    no workers (`min_samples`). `warn` is called once with each warning of a worker.
     """
 
     def __init__(
@@ -127,13 +103,7 @@ class WorkerPool:
         return False
 
     def folder(self) -> Path:
-        """A new folder that all workers see, gone after the run.
-
-        Raises
-        ------
-        ResourceError
-            If it can't be made.
-        """
+        """A new folder that all workers see, gone after the run; `ResourceError` if it can't be made."""
         try:
             if self._folder is None:
                 self._folder = self._path / staging_name()
@@ -146,14 +116,9 @@ class WorkerPool:
         return made
 
     def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any) -> Iterator[Any]:
-        """See `Context.map`; an item whose worker dies is handed out again.
+        """See `Context.map`; an item whose worker dies is handed out again, up to `retries` times, then `NativeCrash`.
 
-        Raises
-        ------
-        NotStorable
-            If `common` can't be kept.
-        NativeCrash
-            If workers died of an item more often than `retries`.
+        `NotStorable` if `common` can't be kept.
         """
         # tasks travel by the name of their function: no pickled code is run by a worker
         name = name_of(function)
@@ -296,23 +261,11 @@ class WorkerPool:
 
 
 def min_samples(executor: str | None, estimate: PlanEstimate) -> float:
-    """Samples of a stage from which on workers are used: a function of the configuration alone.
+    """Samples of a stage from which on workers are used, 0 to infinity: a function of the configuration alone.
 
     An executor that was named is used for all. Processes of this machine, if no executor was named, are used if the
     stages that hand out work take `MIN_SECONDS` of one core together, by the table of rates and not by what the machine
     has learned; if that is unknown, for stages with `MIN_SAMPLES`.
-
-    Parameters
-    ----------
-    executor : str or None
-        As the user gave it.
-    estimate : PlanEstimate
-        Of the run.
-
-    Returns
-    -------
-    float
-        0 for all work, infinite for none.
     """
     if executor is not None:
         return 0.0

@@ -22,13 +22,7 @@ MAX_SYNCED = 4096
 
 
 class WrittenFiles:
-    """The outputs of a run: what each is described by in the record, and whether the disk has them.
-
-    Parameters
-    ----------
-    threads : int
-        Threads that read files to compute their digests.
-    """
+    """The outputs of a run: what each is described by in the record, and whether the disk has them."""
 
     def __init__(self, threads: int) -> None:
         self._threads = threads
@@ -97,13 +91,7 @@ class WrittenFiles:
         self._folders |= {os.fspath(folder) for folder in folders}
 
     def settle(self) -> None:
-        """Wait until the disk has all of them.
-
-        Raises
-        ------
-        OSError
-            If it failed to take one.
-        """
+        """Wait until the disk has all of them; `OSError` if it failed to take one."""
         # every job is waited for, so that none touches a file after an error was reported
         errors = [error for job in self._syncing if (error := job.exception()) is not None]
         self._syncing.clear()

@@ -46,13 +46,8 @@ class Monitor:
 class Observers:
     """The implementations of `sppm_stage_finished` that hear of one run.
 
-    Parameters
-    ----------
-    own : iterable of object
-        The engine's own, called first; what they raise is raised.
-    plugins : iterable of Plugin
-        What they raise becomes one warning for each plugin and changes nothing else.
-    warn : function of str
+    The engine's own come first, and what they raise is raised; what one of a plugin raises becomes one warning for each
+    plugin and changes nothing else.
     """
 
     def __init__(self, own: Iterable[object], plugins: Iterable[Plugin], warn: Callable[[str], None]) -> None:

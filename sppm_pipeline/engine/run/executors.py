@@ -90,13 +90,7 @@ def default_executor(workers: int) -> str:
 
 
 def require_executor(name: str | None, workers: int, plugins: Plugins) -> tuple[str, str, Callable[..., Any], Plugin]:
-    """Name, place, function and plugin of the executor `name`; see `make_executor`.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such executor, or it is in one place only.
-    """
+    """Name, place, function and plugin of the executor `name`, or `ConfigError`; see `make_executor`."""
     there = {key: (make, plugin) for plugin in plugins.plugins for key, make in plugin.executors.items()}
     name, colon, where = (name or default_executor(workers)).partition(":")
     if name not in there:
@@ -108,21 +102,10 @@ def require_executor(name: str | None, workers: int, plugins: Plugins) -> tuple[
 
 
 def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
-    """The executor called `name`; without a name, processes if there is more than one worker.
+    """The executor ``NAME`` or ``NAME:WHERE``; without a name, processes if there is more than one worker.
 
-    Parameters
-    ----------
-    name : str or None
-        ``NAME``, or ``NAME:WHERE`` of an executor that can be in several places.
-    workers : int
-    plugins : Plugins
-
-    Raises
-    ------
-    ConfigError
-        If there is no such executor, or it is in one place only.
-    PluginError
-        If a plugin's function does not return an executor.
+    `ConfigError` if there is no such executor, or it is in one place only; `PluginError` if a plugin's function does
+    not return an executor.
     """
     name, where, make, plugin = require_executor(name, workers, plugins)
     try:
@@ -158,27 +141,11 @@ def serve(
     *,
     most: int,
 ) -> tuple[BaseException | None, list[int]]:
-    """Hand tasks to an executor until all have ended or it has broken down, and shut it down.
+    """Hand numbered tasks to an executor until all have ended or it has broken down, and shut it down.
 
-    Parameters
-    ----------
-    pool : Executor
-        Only `submit` and `shutdown` are used.
-    function : function of a task
-    tasks : dict of number to task
-    ended : function
-        Given the number of a task and its result, in this thread.
-    failed : function
-        Given the number of a task and what it raised, or the executor in its place.
-    most : int
-        Tasks that the executor holds at the same time.
-
-    Returns
-    -------
-    broken : BrokenExecutor or None
-        What it said when it broke down.
-    codes : list of int
-        The exit codes of worker processes, negative for a signal; those of other machines are not known.
+    Only `submit` and `shutdown` of the executor are used. `ended(number, result)` and `failed(number, error)` are
+    called in this thread, and at most `most` tasks are held at a time. Returned are what the executor raised when it
+    broke down, and the exit codes of worker processes, negative for a signal; those of other machines are not known.
     """
     # their exit codes say how they ended, which futures do not
     before, workers = set(_children()), []

@@ -32,17 +32,8 @@ class Kept(NamedTuple):
 class Task:
     """An item on its way to a worker.
 
-    Attributes
-    ----------
-    function : str
-        ``module:name``.
-    common : Kept or None
-    item : object
-    driver : Driver
-    sender : int
-        The process that has made the task.
-    plugins : tuple of str
-        Plugins that are single files.
+    `function` is ``module:name``, `sender` the process that has made the task, `plugins` are those that are single
+    files.
     """
 
     function: str
@@ -56,10 +47,7 @@ class Task:
 def name_of(function: Callable[..., Any]) -> str:
     """``module:name`` of a function of a module, by which another process finds it.
 
-    Raises
-    ------
-    TypeError
-        If it is none: a method, a lambda, a function inside of another one or of the main script.
+    `TypeError` for a method, a lambda, a function inside of another one or of the main script.
     """
     module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
     if module in (None, "__main__") or getattr(sys.modules.get(str(module)), name, None) is not function:
@@ -68,13 +56,7 @@ def name_of(function: Callable[..., Any]) -> str:
 
 
 def run_item(task: Task) -> tuple[Any, list[str]]:
-    """Do one item in a worker; its result, and what the worker warns of.
-
-    Raises
-    ------
-    ConfigError, ResourceError
-        If this worker is unfit; see `check_worker`.
-    """
+    """Do one item in a worker; its result and warnings, or the errors of `check_worker`."""
     apart = (os.getpid(), socket.gethostname()) != (task.sender, task.driver.host)
     warnings = check_worker(task.driver) if apart else []
     for file in task.plugins:

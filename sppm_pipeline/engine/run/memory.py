@@ -23,12 +23,9 @@ if TYPE_CHECKING:
 
 
 class MemoryRun:
-    """A run that has written nothing: its record, and what its stages made.
+    """A run that has written nothing: its `record`, without a digest, and what its stages made.
 
-    Attributes
-    ----------
-    record : dict
-        As ``run.json`` holds it, but for its digest; stages that only write files are marked ``skipped``.
+    Stages that only write files are marked ``skipped`` in the record.
     """
 
     def __init__(self, record: dict[str, Any], runner: StepRunner) -> None:
@@ -36,13 +33,7 @@ class MemoryRun:
         self.runner = runner
 
     def result(self, id_: str) -> Any:
-        """The result of a stage, also if it came from the cache; None for a stage that makes nothing.
-
-        Raises
-        ------
-        ConfigError
-            If there is no stage of this id.
-        """
+        """The result of a stage, also if it came from the cache; None for a stage that makes nothing."""
         ids = [entry["id"] for entry in self.record["stages"]]
         if id_ not in ids:
             raise ConfigError(f"the run has no stage {id_!r}", hint=did_you_mean(id_, ids))
@@ -65,19 +56,7 @@ def run_in_memory(
     """Run the pipeline without a run directory and keep what every stage makes.
 
     Stages that make nothing but files are left out; hand the result to `run_plan` as `earlier` to run them. Files that
-    other stages write on the way are thrown away.
-
-    Parameters
-    ----------
-    plan, threads, until, monitor, store, about
-        As for `run_plan`.
-    available : mapping of id to artifact
-        Results that are there before the first step.
-
-    Raises
-    ------
-    SppmError
-        What stopped the run.
+    other stages write on the way are thrown away. `available` are results, by id, that are there before the first step.
     """
     steps = plan.until(until)
     monitor = monitor or Monitor()

@@ -33,21 +33,11 @@ def staging_name() -> str:
 
 
 class RunFolder:
-    """A run directory with its staging area.
+    """A run directory with its staging area; `threads` read files to compute their digests.
 
     Files of an earlier run stay until those of this run take their place, so that an interrupted run loses nothing.
-
-    Parameters
-    ----------
-    path : Path
-    threads : int
-        Threads that read files to compute their digests.
-
-    Attributes
-    ----------
-    earlier : set of str
-        Names that an earlier run left, or that this run is about to write, and that no finished stage of this run
-        accounts for yet.
+    Names in `earlier` were left by that run, or are about to be written, and no finished stage of this run accounts for
+    them yet.
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
@@ -64,12 +54,8 @@ class RunFolder:
     def prepare(self) -> None:
         """Make the directory and lock it, or take over that of an earlier run.
 
-        Raises
-        ------
-        ConfigError
-            If it holds something that is not from a run.
-        ResourceError
-            If it can't be written, or another run is writing into it.
+        `ConfigError` if it holds something else, `ResourceError` if it can't be written or another run is writing into
+        it.
         """
         try:
             if self.path.exists() and not self.path.is_dir():
@@ -138,19 +124,9 @@ class RunFolder:
             return set(self._pending)
 
     def commit(self, only: str | None = None) -> list[dict[str, Any]]:
-        """Move what was staged into place; paths, sizes and digests.
+        """Move what was staged, or only the outputs of the stage `only`, into place; paths, sizes and digests.
 
-        Parameters
-        ----------
-        only : str, optional
-            Address of the stage whose outputs are meant; what others have staged is left where it is.
-
-        Raises
-        ------
-        PluginError
-            If a stage asked for an output and did not write it.
-        ResourceError
-            If it can't be moved.
+        `PluginError` if a stage asked for an output and did not write it, `ResourceError` if it can't be moved.
         """
         with self._lock:
             # a rejected stage leaves its own report; files of recipes of the same step stay in the staging area
@@ -210,10 +186,7 @@ class RunFolder:
     def settle(self) -> None:
         """Wait until the disk has what was written, and remove what only an earlier run accounts for.
 
-        Raises
-        ------
-        ResourceError
-            If the disk failed to take it, or a file can't be removed.
+        `ResourceError` if the disk failed to take it, or a file can't be removed.
         """
         try:
             self._files.settle()

@@ -136,17 +136,8 @@ def peak_memory_mb() -> float | None:
 class Recorder:
     """Keeps ``run.json`` of a run directory true: written when the run begins, as it goes on and however it ends.
 
-    Attributes
-    ----------
-    folder : RunFolder
-    stages : list of dict
-        What is recorded of each finished stage.
-    extra : dict
-        Further entries of the record.
-    status : str
-        What the record says after a good end.
-    record : dict
-        As written last.
+    `stages` are the entries of finished stages, `extra` further entries, `status` what is said after a good end, and
+    `record` what was written last.
     """
 
     def __init__(self, plan: Plan, path: Path, *, threads: int, until: str | None, monitor: Monitor) -> None:
@@ -258,15 +249,8 @@ class Recorder:
 def mark_ended(path: Path, status: str = "interrupted", error: SppmError | None = None) -> None:
     """Put the directory of a run into order whose process was ended, and those of its rows if it is a sweep.
 
-    Nothing is done to runs that had ended by themselves, or that another process goes on with.
-
-    Parameters
-    ----------
-    path : Path
-        The run directory.
-    status : {"interrupted", "failed"}
-    error : SppmError, optional
-        What took the process down.
+    Nothing is done to runs that had ended by themselves, or that another process goes on with. The status becomes
+    "interrupted" or "failed"; `error` is what took the process down.
     """
     runs = path / SWEEP_RUNS
     for row in sorted(runs.glob("[0-9]*")) if runs.is_dir() else ():

@@ -81,26 +81,14 @@ def _session(request: RunRequest, sweep: str) -> Session:
 
 
 def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
-    """Run one row of a sweep; errors are returned, not raised.
+    """Run one row of a sweep; errors are returned, but for those of a worker that is unfit (`check_worker`).
 
-    Parameters
-    ----------
-    task : mapping
-        ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
-        ``path`` (run directory), ``threads``, ``until``, ``cache`` (folder of the cache, or None), ``notes`` (a file in
-        which a worker process notes what it is doing), ``from`` (number of the process that has made the task),
-        ``driver`` (a `Driver`) and ``limits`` (environment variables with what a stage may take).
-
-    Returns
-    -------
-    dict
-        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``host``, ``warnings``, ``columns``, ``files`` (names
-        and digests), and as ``record`` the digest of the row's record.
-
-    Raises
-    ------
-    ConfigError, ResourceError
-        If this worker process is unfit for the sweep; see `check_worker`.
+    The task holds ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the
+    row), ``path`` (run directory), ``threads``, ``until``, ``cache`` (folder of the cache, or None), ``notes`` (a file
+    in which a worker process notes what it is doing), ``from`` (number of the process that has made the task),
+    ``driver`` (a `Driver`) and ``limits`` (environment variables with what a stage may take). The result holds ``run``,
+    ``params``, ``status``, ``error``, ``seconds``, ``host``, ``warnings``, ``columns``, ``files`` (names and digests),
+    and as ``record`` the digest of the row's record.
     """
     driver: Driver = task["driver"]
     apart = (os.getpid(), socket.gethostname()) != (task["from"], driver.host)

@@ -60,40 +60,14 @@ def run_plan(
     earlier: StepRunner | None = None,
     crew: WorkerPool | None = None,
 ) -> dict[str, Any]:
-    """Run the pipeline and write ``run.json``, also when a stage fails.
+    """Run the pipeline up to the stage `until`, and write ``run.json`` into the run directory, also when a stage fails.
 
-    Parameters
-    ----------
-    plan : Plan
-    path : Path
-        The run directory.
-    threads : int
-        Threads that each stage may use.
-    until : str, optional
-        Id of the last stage to run.
-    monitor : Monitor, optional
-        Is notified of what happens.
-    store : Store, optional
-        The cache; without one every stage runs, and nothing is kept.
-    about : str
-        Name under which the cache remembers this run for `sppm explain`.
-    key : str, optional
-        Digest of all that the run depends on; with a store, a finished run of the same key in `path` that is sound to
-        the byte is taken as it is.
-    earlier : StepRunner, optional
-        Of a run of the same plan in memory; its stages that write nothing are not run again.
-    crew : WorkerPool, optional
-        Workers that stages hand parts of their work to; ended with the run.
+    Without a `store`, every stage runs and nothing is kept; `about` is the name under which the cache remembers this
+    run for `sppm explain`. `key` is the digest of all that the run depends on: with a store, a finished run of the same
+    key in `path` that is sound to the byte is taken as it is. `earlier` is of a run of the same plan in memory; its
+    stages that write nothing are not run again. `crew`, to whom stages hand parts of their work, is ended with the run.
 
-    Returns
-    -------
-    dict
-        The record.
-
-    Raises
-    ------
-    SppmError
-        What stopped the run; its attribute ``record`` holds the record.
+    Returns the record. An `SppmError` says what stopped the run; its attribute ``record`` holds the record.
     """
     steps = plan.until(until)
     monitor = monitor or Monitor()
@@ -132,37 +106,12 @@ def only_writes(step: Step) -> bool:
 
 
 class StepRunner:
-    """Runs steps in order; knows what they made, and what is to be recorded of each.
+    """Runs steps in order; knows what they made, and what is to be recorded of each (`entries`).
 
     A step whose result is in the cache does not run, and the result is only loaded if a later step needs it. Results
-    that no later step needs are freed, but for those to `keep`.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-    recipes : mapping of recipe name to sequence of Step
-    seed, threads : int
-    folder : RunFolder or Scratch
-        Where outputs go. With a `Scratch`, they are thrown away, and steps that only write are left out.
-    monitor : Monitor
-    observers : Observers
-    store : Store, optional
-    about : str
-        See `run_plan`.
-    available : mapping of id to artifact
-        Results that are there before the first step.
-    checkpoint : function
-        Called before outputs are moved to their places.
-    keep : collection of str
-        Ids of results that are kept.
-    earlier : StepRunner, optional
-        A runner of the same steps; what it has run is not run again, unless it writes.
-    crew : WorkerPool, optional
-
-    Attributes
-    ----------
-    entries : list of dict
-        What the run record says of each step.
+    that no later step needs are freed, but for those to `keep`. Outputs go into the `folder`; with a `Scratch`, they
+    are thrown away, and steps that only write are left out. `available` are results, by id, that are there before the
+    first step; `checkpoint` is called before outputs are moved to their places. For the others see `run_plan`.
     """
 
     def __init__(
@@ -209,13 +158,7 @@ class StepRunner:
                 self._cache.given(id_, artifact.digest())
 
     def run(self) -> None:
-        """Run all steps, and notify monitor and observers of each.
-
-        Raises
-        ------
-        SppmError
-            What stopped a step.
-        """
+        """Run all steps, and notify monitor and observers of each, the one that fails included."""
         steps = list(self._steps.values())
         needless: set[str] = set()
         try:

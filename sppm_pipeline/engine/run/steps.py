@@ -40,13 +40,10 @@ RecipeSteps = Mapping[str, Sequence[Step]]
 
 
 def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunContext, recipes: RecipeSteps) -> Any:
-    """Run one stage and return what it made.
+    """Run one stage and return what it made; errors of the stage get its place and id.
 
-    Raises
-    ------
-    SppmError
-        Errors of the stage with place and id filled in. What a plugin raises unexpectedly becomes a `PluginError`,
-        what a built-in stage does an `SppmError` with exit code 1; missing memory or disk a `ResourceError`.
+    What a plugin raises unexpectedly becomes a `PluginError`, what a built-in stage does an `SppmError` with exit code
+    1; missing memory or disk a `ResourceError`.
     """
     # recipes are handed over as objects that a stage runs as often as it likes
     handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
@@ -143,14 +140,7 @@ def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, 
 
 
 class StepRecipe(Recipe):
-    """A recipe of the plan, as stages see it.
-
-    Parameters
-    ----------
-    name : str
-    recipes : mapping of recipe name to sequence of Step
-        All recipes, as recipes may use recipes.
-    """
+    """A recipe of the plan, as stages see it; `recipes` are all, as recipes may use recipes."""
 
     def __init__(self, name: str, recipes: RecipeSteps) -> None:
         self.name = name
@@ -204,13 +194,7 @@ class StepRecipe(Recipe):
         attempt: int = 0,
         options: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> Any:
-        """See `Recipe.run`.
-
-        Raises
-        ------
-        ConfigError
-            If `options` names a stage or option that the recipe lacks, or a value that is not allowed.
-        """
+        """See `Recipe.run`; `ConfigError` if `options` has a stage, option or value that is not allowed."""
         made: Any = None
         own = _of_a_run(context)
         for one, _ in self._run(own, palette or context.palette, attempt, self._with(own, options or {})):

@@ -57,39 +57,12 @@ def run_sweep(
 ) -> dict[str, Any]:
     """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
 
-    Parameters
-    ----------
-    session : Session
-    plan : Plan
-        The plan of the configuration without a row.
-    path : Path
-        The run directory; row i runs in ``runs/<i>`` in it.
-    workers : int
-        Runs at the same time.
-    executor : str or None
-        See `make_executor`.
-    threads : int
-        Threads of all workers together.
-    until : str, optional
-        Id of the last stage to run; `after` is then left out.
-    monitor : Monitor, optional
-    cache : Path, optional
-        Folder of the cache; without one every row runs, also those that an interrupted sweep had finished.
-    retries : int
-        How often a row whose worker died is run again, alone.
-    same_processor : bool
-        Refuse workers on another kind of processor, whose last digits may differ.
+    Row i runs in ``runs/<i>`` of the run directory; `plan` is that of the configuration without a row. `workers` rows
+    run at the same time and share the `threads`. A row whose worker died is run again alone, `retries` times. With
+    `until`, `after` is left out. Without a `cache`, rows that an interrupted sweep had finished run again, too.
 
-    Returns
-    -------
-    dict
-        The record; its `runs` lists the rows. Rows that fail do not raise.
-
-    Raises
-    ------
-    SppmError
-        What stopped the sweep before any row had ended, after its table has been written; its attribute ``record``
-        holds the record.
+    Returns the record, whose `runs` lists the rows; rows that fail do not raise. An `SppmError` says what stopped the
+    sweep before any row had ended, after its table has been written; its attribute ``record`` holds the record.
     """
     monitor = monitor or Monitor()
     rows = session.rows
@@ -162,15 +135,7 @@ def _row_names(count: int) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Asked:
-    """Arguments of a sweep that its rows share; see `run_sweep`.
-
-    Attributes
-    ----------
-    executor : str
-        Also of rows that are run alone.
-    threads : int
-        Of each worker.
-    """
+    """Arguments of a sweep that its rows share; see `run_sweep`. Here `threads` are those of each worker."""
 
     workers: int
     executor: str

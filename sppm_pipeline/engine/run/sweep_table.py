@@ -32,13 +32,7 @@ def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 
 
 def columns_of(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Columns ``run``, the parameters, ``status``, ``error``, then the numbers in the order in which they appear.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        With the keys run, params, status, error and columns, in order.
-    """
+    """Columns ``run``, the parameters, ``status``, ``error``, then the numbers in the order in which they appear."""
     params = list(dict.fromkeys(name for run in runs for name in run["params"]))
     numbers = list(dict.fromkeys(name for run in runs for name in run["columns"]))
     columns: dict[str, list[Any]] = {"run": [run["run"] for run in runs]}

@@ -24,15 +24,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is not as it should be.
-
-    Attributes
-    ----------
-    path : str
-        Relative to the run directory.
-    kind : {"changed", "missing", "extra", "unfinished"}
-    detail : str
-    """
+    """One thing that is not as it should be: `kind` is "changed", "missing", "extra" or "unfinished"."""
 
     path: str
     kind: str
@@ -42,24 +34,7 @@ class Finding:
 def verify_run(path: Path, threads: int = 1) -> tuple[list[Finding], int]:
     """Check the record, every output, and that there is nothing else; of a sweep, all its runs.
 
-    Parameters
-    ----------
-    path : Path
-        The run directory.
-    threads : int
-        Threads that read files.
-
-    Returns
-    -------
-    findings : list of Finding
-        In the order of their paths.
-    files : int
-        How many files were read.
-
-    Raises
-    ------
-    InputError
-        If the directory holds no run.
+    Returns the findings in the order of their paths, and how many files were read; `InputError` if there is no run.
     """
     if not (path / RECORD).is_file():
         raise InputError(f"{str(path)!r} holds no run: there is no {RECORD}", hint="name the directory of a run")
@@ -83,10 +58,7 @@ def finished_run(path: Path, key: str) -> dict[str, Any] | None:
 def differences(path: Path) -> list[str]:
     """Differences between this machine and that of the run that may change the last digits of a repeat.
 
-    Parameters
-    ----------
-    path : Path
-        A run directory; one whose record can't be read has no differences to tell.
+    A record that can't be read has none to tell.
     """
     try:
         record = read_sealed((path / RECORD).read_bytes())

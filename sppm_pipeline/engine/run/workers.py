@@ -21,18 +21,8 @@ from sppm_pipeline.errors import ConfigError, ResourceError
 class Driver:
     """The process that hands out the rows.
 
-    Attributes
-    ----------
-    host : str
-    program : str
-        Digest of the program's source.
-    versions : tuple of (name, version)
-        Of Python, the libraries and the plugins, and the kind of processor.
-    tokens : tuple of path
-        Files that hold `token`: one in the run directory, and one in the cache.
-    token : str
-    same_processor : bool
-        Whether a worker on another kind of processor is refused.
+    `program` is the digest of its source, `versions` those of Python, libraries, plugins and the kind of processor.
+    Each of the files `tokens`, one in the run directory and one in the cache, holds `token`.
     """
 
     host: str
@@ -74,19 +64,11 @@ def announced(path: Path, cache: Path | None, plugins: Plugins, *, same_processo
 
 
 def check_worker(driver: Driver) -> list[str]:
-    """Look whether this worker process gives the results that the driver's process would.
+    """Check that this worker process gives the results that the driver's process would.
 
-    Returns
-    -------
-    list of str
-        Warnings, at the first call in a process only: another processor may compute other last digits.
-
-    Raises
-    ------
-    ConfigError
-        If the program, a library, a plugin, or where it must not be the processor, is another; the message lists them.
-    ResourceError
-        If it does not see the driver's folders.
+    Returns warnings, at the first call in a process only: another processor may compute other last digits.
+    `ConfigError` lists what is another: the program, a library, a plugin, or where it must not be the processor;
+    `ResourceError` if it does not see the driver's folders.
     """
     before = _looked_at.cache_info().misses
     warning = _looked_at(driver)

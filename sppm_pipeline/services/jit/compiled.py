@@ -58,18 +58,7 @@ def fused_jit(function: F) -> F:
 class Kernel:
     """A function that is compiled for each kind of arguments when it is first called with them.
 
-    To Numba, and for attributes that it does not have, it is the dispatcher that Numba makes of the function.
-
-    Parameters
-    ----------
-    function : callable
-    fastmath : set of str or bool
-        As Numba takes it.
-
-    Attributes
-    ----------
-    py_func : callable
-        The function.
+    To Numba, and for attributes that it does not have, it is the dispatcher that Numba makes of `py_func`.
     """
 
     def __init__(self, function: Callable[..., Any], fastmath: set[str] | bool) -> None:
@@ -138,10 +127,8 @@ class Kernel:
 class Intrinsic:
     """A function of compiled code that is written in LLVM's instructions; Numba makes it when it compiles a caller.
 
-    Parameters
-    ----------
-    definition : callable
-        Called once; returns what `numba.extending.intrinsic` takes. Numba and llvmlite are imported inside of it.
+    `definition` is called once and returns what `numba.extending.intrinsic` takes; it imports Numba and llvmlite
+    itself.
     """
 
     def __init__(self, definition: Callable[[], Callable[..., Any]]) -> None:
@@ -159,17 +146,11 @@ def _kernel(module: str, name: str) -> Any:
 
 
 def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:
-    """A copy of a function, not yet compiled, in which some global names mean other functions.
+    """A copy of a function, not yet compiled, in which some global names mean other compiled functions.
 
-    Parameters
-    ----------
-    function : callable
-        A plain function at the top of its module.
-    name : str
-        Distinguishes the copies of one function; with the code of what is replaced, and the state of the files that it
-        is from, it becomes part of the name under which Numba keeps the compiled copy.
-    **replaced : callable
-        Compiled functions by the global name they take over.
+    `function` stands at the top of its module. `name` distinguishes the copies of one function; with the code of what
+    is replaced, and the state of the files that it is from, it becomes part of the name under which Numba keeps the
+    copy.
     """
     h = hashlib.sha256()
     for other in replaced.values():

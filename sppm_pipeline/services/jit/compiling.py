@@ -26,8 +26,8 @@ from sppm_pipeline.services.jit.kernel_signatures import signature_as_json
 def _load_numba_without_scipy() -> None:
     """Load the part of Numba that looks for BLAS, answering its question without the import of scipy.linalg.
 
-    That import takes longer than everything else in a short run, and is there only to tell whether `numpy.dot` can be
-    compiled. If it is compiled after all, Numba finds BLAS when it is called.
+    That import takes longer than everything else in a short run; if `numpy.dot` is compiled after all, BLAS is found
+    then.
     """
     from numba.np import linalg
 
@@ -64,10 +64,7 @@ def intrinsic_type(definition: Callable[..., Any]) -> Any:
 class _Cache(FunctionCache):
     """Numba's cache of one function, safe for processes that save at the same time.
 
-    Attributes
-    ----------
-    keep : bool
-        Whether Python calls the function; its machine code is then kept to be started without Numba as well.
+    With `keep`, Python calls the function, and its machine code is kept to be started without Numba as well.
     """
 
     folder: str

@@ -39,13 +39,7 @@ _NOT_FOLLOWED = sys.stdlib_module_names | {"numpy", "numba", "llvmlite", "scipy"
 
 
 def kernel_cache_folder(source: str) -> Path:
-    """A writable folder for the kernels of one module, in exactly this state of it and of what it imports.
-
-    Parameters
-    ----------
-    source : str
-        File of the module.
-    """
+    """A writable folder for the kernels of one module file, in exactly this state of it and of what it imports."""
     place = Path(Path(source).stem, _state(source))
     folder = kernel_cache_root() / place
     if folder.is_dir():
@@ -114,13 +108,7 @@ def _bases() -> list[Path]:
 
 
 def state_of(source: str) -> str:
-    """Key of the state of a module and of all that it imports; empty if its file can't be read.
-
-    Parameters
-    ----------
-    source : str
-        File of the module.
-    """
+    """Key of the state of a module file and of all that it imports; empty if it can't be read."""
     try:
         return _state(source)
     except OSError:
@@ -279,14 +267,7 @@ def kernel_cache_lasts() -> bool:
 
 
 def is_kept(place: str, specializations: int) -> bool:
-    """True if a kernel was compiled for so many kinds of arguments, without loading it.
-
-    Parameters
-    ----------
-    place : str
-        ``package.module:name``, of a module of this package.
-    specializations : int
-    """
+    """True if a kernel, ``package.module:name``, was compiled for so many kinds of arguments; does not load it."""
     module, _, name = place.partition(":")
     source = str(Path(__file__).parents[3].joinpath(*module.split("."))) + ".py"
     kept = _kept_files(kernel_cache_folder(source))

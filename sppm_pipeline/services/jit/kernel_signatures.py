@@ -18,13 +18,7 @@ KernelType = str | list[Any]
 
 
 def signature_as_json(kind: types.Type) -> KernelType:
-    """A Numba type as a JSON value.
-
-    Raises
-    ------
-    ValueError
-        If it is none of those that kernels take: numbers, arrays of numbers, None, and tuples of these.
-    """
+    """A Numba type as a JSON value; `ValueError` but for numbers, arrays of numbers, None, and tuples of these."""
     if isinstance(kind, types.Array):
         text = f"{signature_as_json(kind.dtype)} {kind.ndim} {kind.layout}"
         text += "" if kind.mutable else " readonly"
@@ -43,13 +37,7 @@ def signature_as_json(kind: types.Type) -> KernelType:
 
 
 def read(kind: KernelType) -> types.Type:
-    """The Numba type of a JSON value.
-
-    Raises
-    ------
-    ValueError
-        If there is no such type.
-    """
+    """The Numba type of a JSON value; `ValueError` if there is no such type."""
     if isinstance(kind, list):
         module, _, name = kind[0].rpartition(".")
         made = getattr(importlib.import_module(module), name) if name else None
@@ -70,15 +58,7 @@ def read(kind: KernelType) -> types.Type:
 
 
 def compile_kernel(place: str, signatures: Sequence[Sequence[KernelType]]) -> None:
-    """Compile a kernel, or load it from the disk, for some types of arguments.
-
-    Parameters
-    ----------
-    place : str
-        ``package.module:name``.
-    signatures : sequence
-        For each specialization the types of the arguments.
-    """
+    """Compile the kernel ``package.module:name`` for the argument types of each signature, or load it from the disk."""
     module, _, name = place.partition(":")
     kernel = getattr(importlib.import_module(module), name).dispatcher
     kernel._cache.keep = True

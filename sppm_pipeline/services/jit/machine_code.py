@@ -72,8 +72,8 @@ FLAGS = _C | _F | _ALIGNED | _WRITABLE
 class TooLarge:
     """Stands for an int that does not fit into 64 bits with a sign.
 
-    Where it is the first of its kind in a call, the call is left to Numba. Kept code that was started for a smaller one
-    is called with it all the same, and raises OverflowError.
+    As the first of its kind in a call, it leaves the call to Numba; kept code that was started for a smaller one is
+    called with it all the same, and raises OverflowError.
     """
 
 
@@ -106,18 +106,10 @@ def signature_as_json(kind: Any) -> str | list[Any] | None:
 
 
 class Code(NamedTuple):
-    """Object code of a kernel and what it takes to start it.
+    """Object code of a kernel and what it takes to start it; `entry` is the symbol of the function that Python calls.
 
-    Attributes
-    ----------
-    entry : str
-        Symbol of the function that Python calls.
-    environment : str
-        That of the entry; one of `environments`.
-    environments : dict of symbol to dtypes
-        Of this function and those that it calls; the only constants kept are dtypes, of arrays that are made. None if
-        there are others.
-    object : bytes
+    `environments`, by symbol, are those of this function and those that it calls: the only constants kept are dtypes,
+    of arrays that are made, None if there are others. `environment` is that of the entry.
     """
 
     entry: str
