@@ -21,11 +21,23 @@ ISLANDS = 0.01
 """Largest share of the solid that may be removed as islands: porosity then rises by as much of the solid share."""
 
 POROSITY = 0.01
-"""Largest difference between the porosity that was asked for and the one of the layers.
+"""Largest difference between the porosity that was asked for and the one of the layers, if the level was not tuned for
+this part or box, or was measured coarsely.
 
-The level of a set of tiles is chosen for the mean of the set: a box of 3^3 laid cells is off by 0.004, and 0.002 are
-the samples of the search. A factor of two would miss a part that lost a hundredth of its solid.
+A level that fits one cell, or a box, meets other shares of its tiles in a part: a box of 3^3 cells cut at the level of
+the set is off by 0.004. A factor of two would miss a part that lost a hundredth of its solid.
 """
+
+TUNED_POROSITY = 0.002
+"""The same if the level was tuned for what the layers show.
+
+Then only samples differ: tile rules and layers count one field on two grids, each of `FINE` samples along a cell or
+more. A factor of two would miss a part cut at the level of its set.
+"""
+
+FINE = 32
+"""Samples along a cell, of the search and of the layers, for `TUNED_POROSITY`: the default of tile rules. At half as
+many, counts of the volume alone may differ by some thousandths (`VOLUME`)."""
 
 Stage = Mapping[str, Any]
 
@@ -53,7 +65,7 @@ def comparisons(record: Mapping[str, Any]) -> Iterator[Comparison]:
             yield Comparison(f"solid removed as islands ({made.stage['id']})", share, 0.0, ISLANDS)
     for stack in layers:
         if (porosities := _porosities(stack, stages)) is not None:
-            yield Comparison(f"porosity of the layers ({stack.stage['id']})", *porosities, POROSITY)
+            yield Comparison(f"porosity of the layers ({stack.stage['id']})", *porosities)
 
 
 def _layers(stage: Stage, stages: Mapping[str, Stage]) -> _Made | None:
@@ -81,8 +93,8 @@ def _body(stage: Stage, stages: Mapping[str, Stage]) -> str:
     return source
 
 
-def _porosities(stack: _Made, stages: Mapping[str, Stage]) -> tuple[float, float] | None:
-    """The porosity of layers and the one that was asked for, where the whole part has one porosity.
+def _porosities(stack: _Made, stages: Mapping[str, Stage]) -> tuple[float, float, float] | None:
+    """Porosity of layers, the one that was asked for, and the tolerance, where the whole part has one porosity.
 
     A part with a skin or drains has another porosity than its infill, and so has a body that was changed on the way.
     """
@@ -103,11 +115,44 @@ def _porosities(stack: _Made, stages: Mapping[str, Stage]) -> tuple[float, float
     if not str(tiles.get("stage", "")).startswith(("tile.", "tune.porosity")):
         return None
     asked = _asked(tiles, stages)
-    return None if asked is None else (found, asked)
+    if asked is None:
+        return None
+    porosity, stage = asked
+    tolerance = POROSITY
+    if _is_tuned(tiles, body, stage) and _samples(tiles, stages.get(_input(stack.stage, "stack"), {})) >= FINE:
+        # the level is cut before islands are looked for, which have a comparison of their own
+        removed = _number(stack.stage["summary"], "removed_share") or 0.0
+        islands = (1.0 - found) * removed / (1.0 - removed) if removed < 1 else 0.0
+        own = _number(stage.get("options", {}), "tolerance") or 0.0  # that of `tune.porosity`
+        tolerance = max(TUNED_POROSITY, own) + islands
+    return found, porosity, tolerance
 
 
-def _asked(tiles: Stage, stages: Mapping[str, Stage]) -> float | None:
-    """The porosity that a tiling, or its set of tiles, was asked for; None if that was left to the recipe."""
+def _is_tuned(tiles: Stage, body: Stage, asked: Stage) -> bool:
+    """True if the level of a tiling was cut for the part or box that became `body`; `asked` named the porosity."""
+    if tiles["stage"] == "tune.porosity":
+        return tiles is body  # one cell, which may fill a part as well
+    # a rule measures in the mesh that it covers, but a box of `cells` as a whole, whatever mesh is filled with it
+    measured = "" if tiles.get("options", {}).get("cells") else _input(tiles, "cover")
+    part = "" if body is tiles else _input(body, "domain")
+    # a repeated field keeps the level that its cell was tuned to; a set of tiles hands its target on
+    return measured == part and (asked is tiles or str(asked["stage"]).startswith("tileset."))
+
+
+def _samples(tiles: Stage, layers: Stage) -> float:
+    """Samples along a cell in layers, and where the level was searched, the fewer of both; 0 where unknown."""
+    summary = layers.get("summary", {})
+    searched = _number(tiles.get("options", {}), "resolution") or 0.0
+    pitch = [*(summary.get("pixel_mm") or ()), summary.get("layer_mm")]
+    cell = _number(tiles["summary"], "cell_mm")
+    if cell is not None and all(isinstance(h, (int, float)) and h > 0 for h in pitch):
+        return min(searched, round(cell / max(pitch), 6))  # mm by mm: 4 / 0.125 is to be 32
+    counts = [*summary.get("pixels", ()), summary.get("layers", 0)]
+    return min(searched, *counts) if tiles["stage"] == "tune.porosity" else 0.0  # the box is the cell
+
+
+def _asked(tiles: Stage, stages: Mapping[str, Stage]) -> tuple[float, Stage] | None:
+    """The porosity that a tiling, or its set of tiles, was asked for, and by which stage, or None."""
     sources = {port: source for port, source in tiles.get("inputs", {}).items() if source in stages}
     if sources.keys() - {"tileset", "source", "cover"}:
         return None  # a grading, for instance, asks for another porosity at each place
@@ -115,7 +160,7 @@ def _asked(tiles: Stage, stages: Mapping[str, Stage]) -> float | None:
         options = stage.get("options", {})
         asked = options.get("target") if stage["stage"] == "tune.porosity" else options.get("porosity")
         if isinstance(asked, (int, float)):
-            return float(asked)
+            return float(asked), stage
     return None
 
 
