@@ -5,20 +5,20 @@ Usage: python -m benchmarks.agreement MESH [VOXELS [MESH_VOXELS [HEIGHT_MM]]]
 The part, scaled to HEIGHT_MM (30), is cut into layers straight from the field at VOXELS (50) pixels along a cell edge,
 and meshed at MESH_VOXELS (149, which puts hardly a node where a pixel has its center: at twice VOXELS all of them would
 coincide, and there the mesh can only agree). PrusaSlicer cuts that mesh, with everything that prepares a print switched
-off, on a display whose pixels are ours. Where it is not installed, trimesh cuts the mesh and an even-odd rule fills the
+off, on a display of the same pixels. Where it is not installed, trimesh cuts the mesh and an even-odd rule fills the
 sections.
 
 What is compared is made alike, as far as it can be:
 
 * Islands are kept. Which solid hangs on nothing depends on the grid: a neck that a fine grid resolves is open on a
-  coarse one, and what hangs on it then is an island there. Of a small part that is more than a hundredth of the solid.
-* The slicer fills a pixel where it is covered by half. So do ours here, by 15 x 15 samples a pixel (`gray: 15`, cut at
-  one half); layers in black and white fill a pixel where its center is solid, which makes another half of a per cent.
-* What the chords of the mesh cost is told apart from what the slicer does, by our own scanlines through its mesh.
+coarse one, and what hangs on it then is an island there. Of a small part that is more than a hundredth of the solid. *
+The slicer fills a pixel where it is covered by half. So do the layers here, by 15 x 15 samples a pixel (`gray: 15`, cut
+at one half); layers in black and white fill a pixel where its center is solid, which makes another 0.5 %. * The error
+of the mesh's chords is separated from that of the slicer by scanlines of this file through its mesh.
 
 Registration is known, never searched for. Two posts are added to the mesh at opposite corners of the stack of layers,
 `MARGIN` pixels outside of it and as high as it is. The slicer centers what it is given and puts it down on the plate,
-so that with the posts its pixels and layers fall on ours. The posts differ in width: a mirrored or turned picture
+so that with the posts its pixels and layers fall on those here. The posts differ in width: a mirrored or turned picture
 shows them in wrong places and is refused. Both ways cut at the mid-height of a layer.
 """
 
@@ -108,7 +108,7 @@ def with_posts(stl: Path, manifest: dict[str, Any]) -> None:
 
 
 def slicer_layers(program: str, stl: Path, manifest: dict[str, Any]) -> tuple[Run, Iterator[NDArray[np.bool_]]]:
-    """Cut with PrusaSlicer; layers (rows, columns) cropped to ours, lowest y first."""
+    """Cut with PrusaSlicer; layers (rows, columns) cropped to those of this program, lowest y first."""
     (pitch_x, pitch_y), frame = manifest["pixel_mm"], MARGIN + BORDER
     columns, rows = manifest["width_px"] + 2 * frame, manifest["height_px"] + 2 * frame
     profile, archive = stl.with_suffix(".ini"), stl.with_suffix(".sl1")
@@ -175,7 +175,7 @@ def section_layers(
 
 
 def sections_of_file(stl: str, manifest: str, out: str) -> None:
-    """What a process of its own does where PrusaSlicer is missing."""
+    """Cut the mesh in a process of its own, where PrusaSlicer is missing."""
     import trimesh
 
     mesh = trimesh.load_mesh(stl)
@@ -202,7 +202,7 @@ def own_layers(folder: Path, manifest: dict[str, Any]) -> Iterator[NDArray[np.bo
 
 
 def compare(ours: Iterator[NDArray[np.bool_]], theirs: Iterator[NDArray[np.bool_]]) -> NDArray[np.int64]:
-    """Pixels (layers, 3) that are solid in both, in ours only, in theirs only."""
+    """Pixels (layers, 3) that are solid in both, in the first only, in the second only."""
     counts = [((a & b).sum(), (a & ~b).sum(), (b & ~a).sum()) for a, b in zip(ours, theirs, strict=True)]
     return np.array(counts, np.int64)
 

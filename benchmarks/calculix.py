@@ -48,7 +48,8 @@ def curve(
 ) -> NDArray[np.float64]:
     """Stress of a body at some strains up to `to`, by elements of a kind. Walls that meet pass through each other.
 
-    What lies at a plate is glued to it along z, or the plates push as ours do: all that reaches them, and without pull.
+    What lies at a plate is glued to it along z, or the plates push as in this program: all that reaches them, and
+    without pull.
     """
     n = body.shape[2]
     lines = ["*NODE, NSET=ALL", *(f"{i + 1}, {x}., {y}., {z}." for i, (x, y, z) in enumerate(body.nodes))]
@@ -200,7 +201,7 @@ def bricks(folder: Path, steps: int = 50) -> None:
 
 
 def curves(folder: Path, split: int) -> None:
-    """The curves of the same voxels in CalculiX, which knows nothing of walls that meet, beside ours with and without.
+    """The curves of the same voxels in CalculiX, without contact of walls, and in this program, with and without it.
 
     C3D8 is integrated fully and too stiff where it flows; C3D8I has incompatible modes. Between plates that push, C3D8
     is held as our voxels are.

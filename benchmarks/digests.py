@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.digests [--write | --mark] [NAME...]
 
 Runs all configurations and examples, or those named, prints which outputs differ from the list in
-``benchmarks/digests.json``, and ends with exit code 1 if any does; with ``--write`` the list is written anew. The same
+``benchmarks/digests.json``, and ends with exit code 1 if any does; with ``--write`` the list is written again. The same
 runs are compared with it by ``tests/test_configs.py``.
 
 A digest is the first 16 hexadecimal digits of a SHA-256 of what a file says, not of its bytes: other compression,
@@ -24,7 +24,7 @@ Of the run record, summaries of stages count; times, memory, versions, paths, op
 Results are the same on any number of threads, but not on any processor, nor with any release of a library: compiled
 kernels round differently, a vertex moves by 1e-6, a search for a porosity ends elsewhere, a font is wider. No rounding
 makes that go away. Outputs with an asterisk in the list are those that were seen to differ; they are compared only on a
-processor and with releases as the list names them, all others everywhere. Elsewhere write the list anew before a
+processor and with releases as the list names them, all others everywhere. Elsewhere write the list again before a
 change, and compare with that. ``--mark`` gives an asterisk to whatever differs from the list, for instance on a
 processor without fused multiply-add::
 
@@ -60,16 +60,11 @@ LIBRARIES = ("numpy", "numba", "scipy", "pillow", "matplotlib", "manifold3d", "n
 
 
 class Small(NamedTuple):
-    """With what a configuration is run at a low resolution.
+    """Changes with which a configuration is run at a low resolution.
 
-    Attributes
-    ----------
-    params, options : tuple of str
-        As after ``-p`` and ``-s`` of ``sppm run``; ``{folder}`` stands for the folder of the run.
-    sweep : str
-        Replaces the sweep of the configuration; empty if it has none, or keeps it.
-    plugins : bool
-        Whether it needs plugins: sppm-structures, or a file of its own.
+    `params` and `options` are as after ``-p`` and ``-s`` of ``sppm run``; ``{folder}`` stands for the folder of the
+    run. `sweep` replaces that of the configuration, if not empty. `plugins` are needed: sppm-structures, or a file of
+    its own.
     """
 
     params: tuple[str, ...] = ()
@@ -285,13 +280,7 @@ def command(name: str, folder: Path) -> list[str]:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Digests of the outputs of a run, by path; numbers of four digits and more are asterisks.
-
-    Raises
-    ------
-    ValueError
-        If a file is of a kind that is not known.
-    """
+    """Digests of the outputs of a run, by path; numbers of four digits and more in paths are asterisks."""
     found: dict[str, Any] = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -308,7 +297,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def surroundings() -> dict[str, str]:
-    """What outputs with an asterisk depend on: the processor that kernels are compiled for, and libraries."""
+    """The processor that kernels are compiled for, and libraries: what outputs with an asterisk depend on."""
     import llvmlite.binding as llvm
 
     processor = os.environ.get("NUMBA_CPU_NAME") or llvm.get_host_cpu_name()
@@ -316,7 +305,7 @@ def surroundings() -> dict[str, str]:
 
 
 def changes(name: str, folder: Path) -> dict[str, str]:
-    """What happened to outputs of a configuration, by path: its results in `folder` against the list."""
+    """Differences of outputs of a configuration, by path: its results in `folder` against the list."""
     document = json.loads(LIST.read_text(encoding="utf-8"))
     listed, found = document["digests"].get(name, {}), digests(folder)
     told = dict.fromkeys(found.keys() - listed.keys(), "is new") | dict.fromkeys(
@@ -396,7 +385,7 @@ def _json(path: Path) -> Iterator[bytes]:
 
 
 def _of_record(record: Mapping[str, Any]) -> dict[str, Any]:
-    """What counts of a run record."""
+    """The part of a run record that counts."""
 
     def of_stage(stage: Mapping[str, Any]) -> dict[str, Any]:
         kept = {key: stage[key] for key in ("id", "stage", "runs", "summary") if key in stage}
@@ -471,7 +460,7 @@ DECODERS: Mapping[str, Callable[[Path], Iterator[bytes]]] = {
     ".json": _json, ".csv": _csv, ".md": _text, ".graphml": _text, ".inp": _text, ".png": _png, ".stl": _mesh,
     ".ply": _mesh, ".vti": _vtk, ".vtu": _vtk, ".goo": _bytes,
 }  # fmt: skip
-"""What a file says, by its extension."""
+"""Readers of the content of a file, by its extension."""
 
 
 def results(names: Iterable[str]) -> Iterator[tuple[str, Path]]:

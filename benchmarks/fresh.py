@@ -2,8 +2,8 @@
 
     python -m benchmarks.fresh [CELLS_ALONG_AN_EDGE ...]     # 3 6 10 16 if omitted
 
-The box of cells is periodic, so that exactly that many cells are drawn; nothing is evaluated. What a cell costs is
-told against the row before, which takes the start of the process off.
+The box of cells is periodic, so that exactly that many cells are drawn; nothing is evaluated. The cost of a
+cell is the difference to the row before, which takes the start of the process off.
 """
 
 from __future__ import annotations

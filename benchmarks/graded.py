@@ -1,4 +1,4 @@
-"""The paper's graded bar, and steps from .2 to .8, over seeds: each cell's porosity counted again by code of its own.
+"""The paper's graded bar, and steps from 0.2 to 0.8, over seeds: each cell's porosity counted again by code of its own.
 
     python -m benchmarks.graded [SEEDS] [VOXELS]     # 10 and 121 if omitted
     python -m benchmarks.graded maps [SEEDS] [VOXELS]  # scattered pores by random smooth maps; 3 and 101 if omitted
@@ -7,8 +7,8 @@
 
 A row for each kind of bar: the largest error of a cell, rms, how far the level goes from the recipe's, the share of the
 void that is connected neither to the largest part of it nor to the outside, and the share of the solid that falls off;
-bars of one face pattern repeat across, and so does what is counted as falling off. The maps are sums of waves from .3
-to .7, drawn by the seed; all cells of a box of 4 x 3 x 3 are counted again. With a mesh, the part of
+bars of one face pattern repeat across, and so does what is counted as falling off. The maps are sums of waves from 0.3
+to 0.7, drawn by the seed; all cells of a box of 4 x 3 x 3 are counted again. With a mesh, the part of
 configs/bunny.yaml is graded by the distance from its surface, and compared with itself ungraded.
 """
 
@@ -80,7 +80,7 @@ def measured(values: tuple[float, ...], faces: str, seed: int, n: int) -> list[f
 
 
 def wavy(seed: int) -> str:
-    """A formula of a random smooth map of porosities from .3 to .7 for a box of 80 x 60 x 60 mm."""
+    """A formula of a random smooth map of porosities from 0.3 to 0.7 for a box of 80 x 60 x 60 mm."""
     rng = np.random.default_rng(seed)
     waves = [
         f"sin({a:.4f}*x + {b:.4f}*y + {c:.4f}*z + {phase:.4f})"
@@ -113,7 +113,7 @@ def maps(seeds: int, n: int) -> None:
 
 
 def cells(along: int) -> None:
-    """A box of so many cells whose porosity goes up and down from .42 to .72, measured and put right once."""
+    """A box of so many cells whose porosity goes up and down from 0.42 to 0.72, measured and put right once."""
     recipe = recipe_of(
         DartThrowing(total=70, share=0.55),
         RelativeNeighbors(),

@@ -1,6 +1,6 @@
 """Effective stiffness and conductivity of a cell, against what else can be installed, and against memory bandwidth.
 
-Usage: python -m benchmarks.homogenization [sizes...]   (`pip install muGrid pyamg` for the rivals)
+Usage: python -m benchmarks.homogenization [sizes...]   (`pip install muGrid pyamg` for the others)
 """
 
 from __future__ import annotations

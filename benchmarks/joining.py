@@ -2,9 +2,9 @@
 
     python -m benchmarks.joining [SEEDS]     # 5 if omitted
 
-*Joined*: two sets, omega 20, 42 pores, porosity .55, and omega 40, 78 pores, porosity .35, through one transition cell,
-after `tune.local_porosity`. *Blended*: stochastic cells and a gyroid in equal parts, less the porosity that both have;
-the same by a plain mean of both fields, each over its standard deviation. *Warped*: rings of a tube.
+*Joined*: two sets, omega 20, 42 pores, porosity 0.55, and omega 40, 78 pores, porosity 0.35, through one transition
+cell, after `tune.local_porosity`. *Blended*: stochastic cells and a gyroid in equal parts, less the porosity that both
+have; the same by a plain mean of both fields, each over its standard deviation. *Warped*: rings of a tube.
 """
 
 from __future__ import annotations

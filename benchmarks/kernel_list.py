@@ -1,7 +1,7 @@
 """Which stages call which kernels, what compiling them costs, and the list by which they are compiled ahead.
 
 Runs configurations at a low resolution with an empty folder of kernels, and prints the functions that take longest to
-compile, with and without the functions that they call. With --write, the list of the program is written anew.
+compile, with and without the functions that they call. With --write, the list of the program is written again.
 
 Usage: python -m benchmarks.kernel_list [--write] [NAME...]
 """

@@ -28,13 +28,7 @@ def pipeline_command(config: Path | str, out: Path | str) -> list[str]:
 
 
 def run(command: Sequence[str], *, limit_bytes: int | None = None) -> Run:
-    """Run a command to its end; `limit_bytes` bounds its address space.
-
-    Raises
-    ------
-    RuntimeError
-        If it fails.
-    """
+    """Run a command to its end, with at most `limit_bytes` of address space; `RuntimeError` if it fails."""
 
     def limit() -> None:
         import resource

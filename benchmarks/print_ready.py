@@ -15,7 +15,7 @@ from benchmarks.measure import repeat_in_process, table
 
 
 def porous(nz: int, n: int) -> np.ndarray:
-    """Five cells along an edge, porosity .58: the sign of waves of random direction."""
+    """Five cells along an edge, porosity 0.58: the sign of waves of random direction."""
     rng = np.random.default_rng(3)
     waves = rng.standard_normal((60, 3))
     waves *= 2 * np.pi * 12 / np.linalg.norm(waves, axis=1)[:, None]

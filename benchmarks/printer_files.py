@@ -31,7 +31,7 @@ pipeline:
 
 
 def encoders() -> None:
-    """One layer of 3840 x 2400 pixels, smoothed noise of porosity .6, by each encoder."""
+    """One layer of 3840 x 2400 pixels, smoothed noise of porosity 0.6, by each encoder."""
     import numpy as np
     from scipy.ndimage import gaussian_filter
 

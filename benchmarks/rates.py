@@ -8,7 +8,7 @@ second beside their estimates. With ``--write``, of each stage that ran
 
 * seconds are scaled by the geometric mean of what was measured over what was estimated, if that is beyond a factor 1.5,
 * memory gets a constant part by which no run was estimated too low, or is scaled down if all were beyond a factor 1.3,
-* a stage without an entry gets one, of constants; units in which it grows are left to whoever knows the stage.
+* a stage without an entry gets one, of constants; units in which it grows are left to the author of the stage.
 
 Times want a machine without other work.
 """

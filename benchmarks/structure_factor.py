@@ -1,4 +1,4 @@
-"""How loud long waves are in pores scattered over 4 x 4 x 4 blocks: S(k) by sampler and length of the wave.
+"""Structure factor S(k) of pores scattered over 4 x 4 x 4 blocks at long waves, by sampler and wave length.
 
     python -m benchmarks.structure_factor
 

@@ -2,8 +2,8 @@
 
 Usage: python -m benchmarks.surfaces [N ...]
 
-The field is that of the paper's cell (148 pores, 590 tunnels) on N^3 samples (128 and 256). scikit-image is the rival;
-manifold3d's extractor works on a lattice of its own with two points for each of our voxels.
+The field is that of the paper's cell (148 pores, 590 tunnels) on N^3 samples (128 and 256). scikit-image is compared;
+manifold3d's extractor works on a lattice of its own with two points for each voxel here.
 """
 
 from __future__ import annotations

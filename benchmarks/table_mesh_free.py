@@ -1,4 +1,4 @@
-"""The mesh-free column of the paper's efficiency table, against the obvious way, in one run.
+"""The mesh-free column of the paper's efficiency table, against a straightforward script, in one run.
 
 Usage: python -m benchmarks.table_mesh_free
 """

@@ -1,1 +1,1 @@
-"""The obvious ways to do the same work, with well-known libraries and no tricks; what ours is measured against."""
+"""Straightforward scripts for the same work with well-known libraries, which this program is compared with."""

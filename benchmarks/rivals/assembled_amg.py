@@ -1,4 +1,4 @@
-"""Effective stiffness the obvious way: an assembled matrix, solved by smoothed aggregation (`pip install pyamg`)."""
+"""Effective stiffness by an assembled matrix, solved by smoothed aggregation (`pip install pyamg`)."""
 
 from __future__ import annotations
 

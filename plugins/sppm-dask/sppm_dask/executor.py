@@ -67,28 +67,11 @@ LOCAL = {
 class DaskExecutor(Executor):
     """Hands tasks to the workers of a Dask cluster.
 
-    Parameters
-    ----------
-    workers : int
-        Processes of a cluster that is started here; of a queue the largest number of jobs at the same time. A cluster
-        that runs already has the workers it has.
-    where : str
-        Nothing for processes of this machine; the address of a scheduler (``tcp://head:8786``); its scheduler file; or
-        the name of a queue (`QUEUES`), which is set up in Dask's own configuration.
-
-    Attributes
-    ----------
-    about : str
-        Where the tasks run, for the user.
-    notify : function of str
-        Called with a message for the user while tasks wait; set by the engine.
-
-    Raises
-    ------
-    ConfigError
-        If `where` is none of these.
-    ResourceError
-        If the scheduler does not answer, or the queue refuses the workers.
+    `where` is empty for `workers` processes of this machine; the address of a scheduler (``tcp://head:8786``), or its
+    scheduler file, whose cluster has the workers it has; or the name of a queue (`QUEUES`), which is set up in Dask's
+    own configuration, with at most `workers` jobs at a time. `ConfigError` if it is none of these, `ResourceError` if
+    the scheduler does not answer or the queue refuses the workers. `notify`, set by the engine, is called with a
+    message while tasks wait.
     """
 
     def __init__(self, workers: int, where: str = "") -> None:
@@ -122,12 +105,7 @@ class DaskExecutor(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Hand a task to the cluster; if its workers died of it, its exception is a `NativeCrash`.
 
-        Raises
-        ------
-        BrokenExecutor
-            If the scheduler is gone, or all workers of a cluster that was started here.
-        RuntimeError
-            After `shutdown`.
+        `BrokenExecutor` if the scheduler is gone, or all workers of a cluster that was started here.
         """
         if self._closed:
             raise RuntimeError("the executor was shut down")

@@ -87,7 +87,7 @@ def test_places_that_are_none(monkeypatch):
 def test_a_task_that_the_scheduler_gives_up_says_so(cluster, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with DaskExecutor(1, cluster.scheduler_address) as executor:
-        future = executor.submit(os.open, str(tmp_path / "pipe"), os.O_RDONLY)  # waits for somebody who writes
+        future = executor.submit(os.open, str(tmp_path / "pipe"), os.O_RDONLY)  # waits for a writer
         executor._client.cancel(list(executor._tasks._futures))
         assert isinstance(future.exception(timeout=600), ConnectionError)
         os.open(tmp_path / "pipe", os.O_RDWR)  # stays open: the worker may come to it later

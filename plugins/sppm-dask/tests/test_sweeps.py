@@ -137,7 +137,7 @@ def swept(file: Path, to: str, executor: str, *, cache: Path | None = None, moni
 
 
 def outputs(folder: Path) -> dict[str, bytes]:
-    """What the rows wrote, and the table."""
+    """Files of the rows, and the table."""
     files = [file for file in folder.rglob("*") if file.is_file() and file.name not in ("run.json", "SHA256SUMS")]
     return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
 

@@ -13,7 +13,7 @@ FACE, EDGE, CORNER = 100, 10, 1
 _COST = {1: FACE, 2: EDGE, 3: CORNER}
 _MAX_TRIES = 2000
 """Cells that are tried for a swap with one cell; bounds the time for large parts."""
-_WORTH_ANOTHER_PASS = 0.98
+_MAX_COST_RATIO = 0.98
 """Swapping ends when a pass over all cells has left more than this share of the cost."""
 
 
@@ -26,12 +26,7 @@ class Alike(NamedTuple):
 
 
 def alike_pairs(interior: NDArray[np.int32]) -> Alike:
-    """Count them; cells without content, -1, do not count.
-
-    Parameters
-    ----------
-    interior : (nx, ny, nz) int32
-    """
+    """Count them in interiors (nx, ny, nz); cells without content, -1, do not count."""
     counts = {1: 0, 2: 0, 3: 0}
     for step in itertools.product((-1, 0, 1), repeat=3):
         if step <= (0, 0, 0):
@@ -45,24 +40,12 @@ def alike_pairs(interior: NDArray[np.int32]) -> Alike:
 
 
 def deal(rng: np.random.Generator, mask: NDArray[np.bool_], interiors: int) -> NDArray[np.int32]:
-    """Deal shuffled decks of all interiors to the cells in raster order, then swap where equal cells touch.
+    """Deal shuffled decks of all interiors to the cells of `mask` in raster order, then swap where equal cells touch.
 
     Each deck is dealt to its end before the next one is shuffled, so that no interior is used more than once more
     often than another. Of the cards left in the deck a cell takes the first that none of its neighbors has, or the
     one that costs least. Swaps keep the numbers and are made only if they lower the cost, so the search ends.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    mask : (nx, ny, nz) bool
-        Cells to be filled.
-    interiors : int
-        Number of interiors K.
-
-    Returns
-    -------
-    (nx, ny, nz) int32
-        0..K-1, and -1 where `mask` is False.
+    Returns (nx, ny, nz) int32: 0..interiors-1, and -1 outside of the mask.
     """
     # one empty layer all around, so that neighbors are fixed steps in the flat list
     padded = np.pad(np.asarray(mask, np.bool_), 1)
@@ -74,7 +57,7 @@ def deal(rng: np.random.Generator, mask: NDArray[np.bool_], interiors: int) -> N
     before = np.inf
     while True:
         own = _cost(cells, places, cells[places], steps, prices)
-        if own.sum() == 0 or own.sum() > _WORTH_ANOTHER_PASS * before:
+        if own.sum() == 0 or own.sum() > _MAX_COST_RATIO * before:
             break
         before = own.sum()
         for place in places[own > 0]:
@@ -117,7 +100,7 @@ def _cost(
     steps: NDArray[np.int64],
     prices: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """What `cards` would cost at `places`, among the neighbors that are there; (n,) int64."""
+    """Cost of `cards` at `places`, among the neighbors that are there; (n,) int64."""
     total = np.zeros(len(places), np.int64)
     for step, price in zip(steps, prices, strict=True):
         total += price * (cells[places + step] == cards)

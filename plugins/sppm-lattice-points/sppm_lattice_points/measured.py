@@ -18,6 +18,6 @@ class MeasuredSampler(Sampler):
         thrown = super().run(context, pores)
         periodic = (not thrown.has_faces,) * 3
         closest = min(min_spacing(thrown.of_piece(t), periodic) for t in range(thrown.interiors))
-        if closest < float("inf"):  # a lone pore between faces has no neighbor in its interior
+        if closest < float("inf"):  # a single pore between faces has no neighbor in its interior
             context.report(smallest_distance=closest)
         return thrown

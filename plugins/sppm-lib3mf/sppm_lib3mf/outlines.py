@@ -7,21 +7,12 @@ from numpy.typing import NDArray
 
 
 def outlines(solid: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
-    """Outlines of the solid pixels of a layer.
+    """Outlines of the solid pixels of a layer (ny, nx), y increasing: corners (n, 2) int32 as (x, y) in pixels.
 
-    A corner of an outline has one side along x and one along y. Sorted along a line of the grid, corners are the ends
-    of sides two by two, so that both partners of each follow from two sorts. Where two solid pixels meet at a corner
-    only, two corners stand at one place, and the order of the two tells them apart.
-
-    Parameters
-    ----------
-    solid : (ny, nx) bool
-        Rows in order of increasing y.
-
-    Returns
-    -------
-    list of (n, 2) int32
-        Corners (x, y) in pixels, solid to the left; the first is not repeated.
+    The solid lies to the left; the first corner is not repeated. A corner has one side along x and one along y. Sorted
+    along a line of the grid, corners are the ends of sides two by two, so that both partners of each follow from two
+    sorts. Where two solid pixels meet at a corner only, two corners stand at one place, and their order distinguishes
+    them.
     """
     ringed = np.pad(solid, 1).astype(np.uint8)
     low_left, low_right, high_left, high_right = ringed[:-1, :-1], ringed[:-1, 1:], ringed[1:, :-1], ringed[1:, 1:]

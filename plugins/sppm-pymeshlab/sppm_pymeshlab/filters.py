@@ -1,4 +1,4 @@
-"""What runs in the child process: MeshLab's filters on arrays. MeshLab never sees a file.
+"""Functions of the child process: MeshLab's filters on arrays. MeshLab never sees a file.
 
 Its readers hang on an STL whose header lies about the number of triangles, and die of an OBJ that names a vertex it
 does not have; the arrays handed over here have been checked.

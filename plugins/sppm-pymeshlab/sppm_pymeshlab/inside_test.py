@@ -10,22 +10,10 @@ from sppm_pymeshlab.winding import spread_points, winding_change, winding_number
 
 
 class InsideTest:
-    """Inside test at sample points in the box of a mesh, kept up to date while the mesh is repaired.
+    """Inside test at `samples` points in the box of a mesh, kept up to date while the mesh is repaired.
 
-    A point is inside where the surface goes around it, either way, by more than one half; so a mesh that is inside out
-    says the same as one that is not.
-
-    Parameters
-    ----------
-    mesh : SurfaceMesh
-    samples : int
-        Points in the bounding box.
-    threads : int
-
-    Attributes
-    ----------
-    inside : (n,) bool
-        What a repair has to keep.
+    A point is `inside` (n,) where the surface goes around it, either way, by more than one half; so a mesh that is
+    inside out gives the same as one that is not.
     """
 
     def __init__(self, mesh: SurfaceMesh, samples: int, threads: int) -> None:

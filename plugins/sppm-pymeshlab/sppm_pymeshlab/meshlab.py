@@ -21,16 +21,9 @@ class Refused(DesignError):
 
 
 def filtered(mesh: SurfaceMesh, name: str, seconds: float, **options: Any) -> SurfaceMesh:
-    """Apply one filter of `filters` in a child process.
+    """Apply one filter of `filters` in a child process; errors as of `run_native`.
 
-    Raises
-    ------
-    Refused
-        If MeshLab refuses, or leaves nothing.
-    InputError
-        If the mesh is empty or too large.
-    NativeCrash, ResourceError, PluginError
-        As `run_native`.
+    `Refused` if MeshLab refuses, or leaves nothing; `InputError` if the mesh is empty or too large.
     """
     if not len(mesh.faces):
         raise InputError(f"{mesh.name} has no triangles")
@@ -69,10 +62,7 @@ def self_intersections(mesh: SurfaceMesh, seconds: float) -> int:
 def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **options: Any) -> SurfaceMesh:
     """Apply one filter to a mesh that must not get worse by it, and report volumes and triangles.
 
-    Raises
-    ------
-    DesignError
-        If a closed mesh comes back open, or its volume is gone.
+    `DesignError` if a closed mesh comes back open, or its volume is gone.
     """
     from sppm_pipeline.numerics import mesh_edges as edge_counts
     from sppm_pipeline.numerics import mesh_volume as volume

@@ -14,21 +14,11 @@ from sppm_pymeshlab.winding import winding_numbers
 def turned_outward(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], *, as_whole: bool, threads: int = 1
 ) -> NDArray[np.int32]:
-    """Faces turned so that their normals point out of the solid.
+    """Faces (m, 3) turned so that their normals point out of the solid.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-    as_whole : bool
-        Turn all pieces or none: right if the winding of the input agreed with itself, as then a piece that is wound
-        the other way is a cavity. Otherwise each piece is turned by itself, and is a cavity if it lies inside an odd
-        number of others.
-    threads : int
-
-    Returns
-    -------
-    (m, 3) int32
+    `as_whole` turns all pieces or none: right if the winding of the input agreed with itself, as then a piece that is
+    wound the other way is a cavity. Otherwise each piece is turned by itself, and is a cavity if it lies inside an odd
+    number of others.
     """
     if as_whole:
         return faces if volume(vertices, faces) >= 0 else np.ascontiguousarray(faces[:, ::-1])
@@ -45,7 +35,7 @@ def turned_outward(
             depth[inner] += np.abs(winding_numbers(probes, (vertices, faces[piece]), threads=threads)) > 0.5
     turned = faces.copy()
     for piece, around in zip(pieces, depth, strict=True):
-        # an open piece has no volume; about its own middle it has one that tells on which side it is hollow
+        # an open piece has no volume; about its own middle it has one whose sign is that of its hollow side
         outward = volume(vertices[faces[piece]].reshape(-1, 3), np.arange(3 * len(piece)).reshape(-1, 3)) >= 0
         if outward != (around % 2 == 0):
             turned[piece] = faces[piece][:, ::-1]

@@ -31,7 +31,7 @@ FEW = 30
 
 @dataclass(frozen=True, kw_only=True)
 class RepairMesh(Stage):
-    """Repair a mesh until it bounds a solid, and say of each step what it has changed.
+    """Repair a mesh until it bounds a solid, and report what each step has changed.
 
     ``clean`` removes duplicate and degenerate triangles and unused vertices, ``merge`` joins vertices that are close,
     ``split`` cuts where three or more triangles meet in an edge, ``orient`` winds neighbors alike and outwards,

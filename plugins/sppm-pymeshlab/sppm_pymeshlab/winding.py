@@ -38,19 +38,9 @@ def winding_numbers(
     threads: int = 1,
     weights: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Winding numbers of a mesh about points; a point on the surface gets something between the two sides.
+    """Winding numbers (n,) of a mesh about points (n, 3); on the surface something between the two sides.
 
-    Parameters
-    ----------
-    points : (n, 3) float64
-    mesh : vertices (v, 3) and faces (m, 3)
-    threads : int
-    weights : (m,) float64, optional
-        How often each triangle counts.
-
-    Returns
-    -------
-    (n,) float64
+    With `weights` (m,), each triangle counts so often.
     """
     vertices, faces = mesh
     weights = np.ones(len(faces)) if weights is None else weights
@@ -73,7 +63,7 @@ def winding_numbers(
 
 
 def winding_change(points: NDArray[np.float64], before: Mesh, after: Mesh, *, threads: int = 1) -> NDArray[np.float64]:
-    """What a change of the mesh adds to the winding numbers, (n,): only triangles that came or went are summed."""
+    """Change of the winding numbers by a change of the mesh, (n,): only triangles that came or went are summed."""
     rows = np.concatenate([_corner_rows(*before), _corner_rows(*after)])
     signs = np.repeat([-1.0, 1.0], [len(before[1]), len(after[1])])
     order = np.lexsort(rows.T)

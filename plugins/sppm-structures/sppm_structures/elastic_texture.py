@@ -23,8 +23,8 @@ class ElasticTexture(FieldMaker):
     cube's center c, a face's center f, an edge's middle e and a corner v of the cube. Nodes are named by the corners
     that they lie between: c, cf, cfe, cfev and so on, 15 kinds. A pattern lists edges: ``c-ev ev-f``. Their place
     between the corners is given by barycentric weights, ``ev=1:2``; struts are cones with a radius for each node,
-    ``ev=1.5`` times `radius`; joints are blended as in `field.struts`. The publication numbers its patterns; ours are
-    named by their edges, and whether a preset of ours is one of theirs we can't say.
+    ``ev=1.5`` times `radius`; joints are blended as in `field.struts`. The publication numbers its patterns; those here
+    are named by their edges, and it is not verified which presets are theirs.
 
     ``tune.porosity`` adds the same to all radii. The presets are isotropic at the density that the README states.
     """
@@ -59,7 +59,7 @@ class ElasticTexture(FieldMaker):
         )
 
     def run(self, context: Context) -> ScalarField:
-        """Mirror the graph; the field is evaluated where somebody samples it."""
+        """Mirror the graph; the field is evaluated where it is sampled."""
         texture = self._texture()
         radius, blend = self.in_cells(self.radius), self.in_cells(self.blend)
         thickest, most = radius * max([1.0, *texture.radii.values()]), LARGEST_RADIUS / self.repeat

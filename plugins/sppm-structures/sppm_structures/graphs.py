@@ -15,14 +15,10 @@ _SAME = 1e-9
 
 
 class StrutGraph(NamedTuple):
-    """Struts of one cell; what the neighbors' struts are follows by repetition.
+    """Struts of one cell; those of the neighbors follow by repetition.
 
-    Attributes
-    ----------
-    starts, ends : (m, 3) float64
-        Cell sizes; the start lies in [0, 1)^3, the end may lie in a neighboring cell.
-    start_radii, end_radii : (m,) float64
-        Radii at the ends over the mean; 1 for cylinders.
+    Starts (m, 3) lie in [0, 1)^3, cell sizes, ends (m, 3) may lie in a neighboring cell. Radii (m,) at the ends are
+    over the mean, 1 for cylinders.
     """
 
     starts: NDArray[np.float64]
@@ -39,10 +35,7 @@ def strut_graph(
 ) -> StrutGraph:
     """Struts with copies left out: one strut stays of those that periodicity makes the same.
 
-    Raises
-    ------
-    InputError
-        If there are no struts, one has no length, a position is not finite, or one is longer than two cells.
+    `InputError` if there are none, one has no length or is longer than two cells, or a position is not finite.
     """
     starts, ends = np.asarray(starts, np.float64).reshape(-1, 3), np.asarray(ends, np.float64).reshape(-1, 3)
     ones = np.ones(len(starts))

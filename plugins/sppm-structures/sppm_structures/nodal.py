@@ -18,14 +18,9 @@ Factor = tuple[str, int] | None
 
 @dataclass(frozen=True)
 class Nodal:
-    """A sum of terms.
+    """A sum of `terms` (coefficient, (factor along x, along y, along z)) and a constant.
 
-    Attributes
-    ----------
-    terms : tuple of (coefficient, (factor along x, along y, along z))
-    constant : float
-    formula : str
-        For people, with X = 2 pi x.
+    `formula` is for people, with X = 2 pi x.
     """
 
     terms: tuple[tuple[float, tuple[Factor, Factor, Factor]], ...]

@@ -24,15 +24,8 @@ MAX_PORES = 3_000_000
 class OrganicField(PlacedField):
     """Sum of pore and tunnel kernels less the level, in a box of cells that is not repeated.
 
-    Attributes
-    ----------
-    pores : (n, 3) float64
-        Centers from the low corner, cell sizes.
-    tunnels : (m, 2) int64
-        Pores that are joined.
-    omega, mu : float
-        Size parameters of pores and tunnels, 1 / cell size^2 and 1 / cell size.
-    level : float
+    Pores (n, 3) are centers from the low corner in cell sizes, tunnels (m, 2) pairs of pores; `omega` in 1 / cell
+    size^2 and `mu` in 1 / cell size are their size parameters.
     """
 
     pores: NDArray[np.float64]
@@ -112,8 +105,8 @@ class Organic(PartFieldMaker):
     solid below the level, which ``tune.porosity`` changes.
 
     What differs from the publication: its pores are stretched along a tensor field, placed by an anisotropic particle
-    system, and connected where the Morse-Smale complex of the field says so; ours are round, thrown, and joined by
-    tunnels of the paper's kind.
+    system, and connected where the Morse-Smale complex of the field says so; those here are round, thrown, and joined
+    by tunnels of the paper's kind.
 
     The cell is only the unit of lengths and resolutions here. Time and memory to draw grow with the part.
     """
@@ -126,7 +119,7 @@ class Organic(PartFieldMaker):
     level: float = options.level(0.25)
 
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
-        """Throw and join the pores; the field is evaluated where somebody samples it."""
+        """Throw and join the pores; the field is evaluated where it is sampled."""
         from sppm_pipeline.numerics import TUNNEL_PROFILES, omega_from_radius
         from sppm_pipeline.numerics import throw_darts as throw
 
@@ -184,7 +177,7 @@ def near_pairs(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
         ends, place = np.unique(pairs[undecided, 0], return_inverse=True)
         distance, third = (found[:, 0] for found in tree.query(points[ends], [number]))
         distance, third = distance[place.reshape(-1)], third[place.reshape(-1)]
-        # whoever is nearer to both ends is nearer to the first
+        # a pore that is nearer to both ends is nearer to the first
         in_reach = distance < lengths[undecided]
         undecided, third = undecided[in_reach], third[in_reach]
         between = np.linalg.norm(points[third] - points[pairs[undecided, 1]], axis=1) < lengths[undecided]

@@ -20,14 +20,8 @@ _STREAM = 64
 class HashedSeeds(NamedTuple):
     """Seeds of an endless grid of places, `along` of them along an edge of the cell.
 
-    Attributes
-    ----------
-    seed : int
-    along : int
-    jitter : float
-        A seed lies in the middle of its place, off by up to half this share of the place's width along each axis.
-    fine : float
-        Share of the places that are cut into eight (Martinez et al. 2016 cut them where a denser foam is wanted).
+    A seed lies in the middle of its place, off by up to half the share `jitter` of the place's width along each axis.
+    The share `fine` of the places is cut into eight (Martinez et al. 2016 cut them where a denser foam is wanted).
     """
 
     seed: int

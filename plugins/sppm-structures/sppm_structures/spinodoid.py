@@ -18,15 +18,7 @@ SMALLEST_CONE = 15.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpinodoidField(FormulaField):
-    """The solid where a sum of waves lies below a level.
-
-    Attributes
-    ----------
-    waves : Waves
-        Scaled so that the variance is 1.
-    level : float
-        Standard deviations.
-    """
+    """The solid where a sum of waves, scaled to variance 1, lies below a level in standard deviations."""
 
     waves: Waves
     level: float
@@ -52,8 +44,8 @@ class Spinodoid(FieldMaker):
     After Kumar, Tan, Zheng and Kochmann 2020, "Inverse-designed spinodoid metamaterials". Wave vectors lie near a
     sphere and within cones around the axes; a cone of 90 degrees takes every direction (isotropic), one small cone
     makes layers (lamellar), two make columns, three a cubic structure. Theirs is drawn from a continuous sphere and
-    does not repeat; ours takes integers of waves along an edge of the cell, from a shell about the sphere, so that the
-    field is periodic. A field of few waves is less random: raise `wavenumber`, or make the shell thicker.
+    does not repeat; this one takes integers of waves along an edge of the cell, from a shell about the sphere, so that
+    the field is periodic. A field of few waves is less random: raise `wavenumber`, or make the shell thicker.
 
     Solid is where the field lies below the level; ``tune.porosity`` changes it. Without tuning, the level is that at
     which a Gaussian field has the target density.
@@ -113,10 +105,7 @@ class Spinodoid(FieldMaker):
 def wave_vectors(wavenumber: float, shell: float, cones: tuple[float, float, float]) -> NDArray[np.int64]:
     """Integer vectors of nearly the length `wavenumber` within cones about the axes, one of each opposite pair.
 
-    Raises
-    ------
-    DesignError
-        If there is none.
+    `DesignError` if there is none.
     """
     most = int(np.floor(wavenumber + shell))
     axis = np.arange(-most, most + 1)

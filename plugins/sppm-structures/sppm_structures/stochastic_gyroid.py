@@ -13,27 +13,16 @@ from sppm_pipeline.nouns import FormulaField
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 LID = 2.0
-"""How fast a lid grows inwards from the border of a closed place: values of f a standard deviation."""
+"""Growth of a lid inwards from the border of a closed place: values of f a standard deviation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BentGyroid(FormulaField):
     """``max(f - w - lid, -f - w)`` of a gyroid f at bent positions: solid where ``-w < f < w + lid``.
 
-    Attributes
-    ----------
-    repeat : int
-        Gyroid cells along an edge of the cell.
-    bends : tuple of 3 Waves
-        By how much the phases along x, y and z are moved, radians.
-    walls : Waves
-        By how much the half width w differs from `half_width`.
-    closing : Waves
-        Random function of variance 1.
-    closed_from : float or None
-        The lid is ``LID max(0, closing - closed_from)``; None for no lid.
-    half_width : float
-        Values of f.
+    There are `repeat` gyroid cells along an edge of the cell. `bends` moves the phases along x, y and z, radians;
+    `walls` is the difference of the half width w from `half_width`, values of f; `closing` is a random function of
+    variance 1. The lid is ``LID max(0, closing - closed_from)``, or none.
     """
 
     repeat: int

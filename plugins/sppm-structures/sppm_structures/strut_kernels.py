@@ -24,14 +24,8 @@ REACH = 4.0
 class StrutTable(NamedTuple):
     """Struts sorted into buckets of the cell.
 
-    Attributes
-    ----------
-    struts : (m, 8) float64
-        Start, end, radius at the start, radius at the end, cell sizes.
-    begin, end : (BUCKETS^3,) int64
-        Where the list of each bucket begins and ends.
-    listed : (n,) int32
-        Struts of the lists.
+    `struts` (m, 8): start, end, radius at the start, radius at the end, cell sizes. The list of each bucket lies in
+    `listed` (n,), from `begin` to `end` (BUCKETS^3,).
     """
 
     struts: NDArray[np.float64]
@@ -66,13 +60,7 @@ def evaluate_struts(
 ) -> NDArray[np.float32]:
     """Blended distance from the surface of the struts, (nx, ny, nz) float32, cell sizes; x is contiguous in memory.
 
-    Parameters
-    ----------
-    table : StrutTable
-    blend : float
-        0 for sharp joints.
-    x, y, z : (nx,), (ny,), (nz,) float64
-        Positions in the cell, 0 <= x < 1.
+    Positions lie in the cell, 0 <= x < 1; `blend` is 0 for sharp joints.
     """
     values = np.empty((len(z), len(y), len(x)), np.float32)
     _evaluate(table.struts, table.begin, table.end, table.listed, np.float64(blend), x, y, z, values)

@@ -23,17 +23,8 @@ MAX_STRUTS = 5000
 class StrutField(FormulaField):
     """Distance from the surface of struts, less where several are near, so that joints are round.
 
-    Attributes
-    ----------
-    lattice : str
-    starts, ends, radii : (m, 3), (m, 3), (m, 2) float64
-        Axes of the struts in cell sizes; radii at both ends over `radius`.
-    radius : float
-        Cell sizes.
-    blend : float
-        Length over which joints are rounded, cell sizes; 0 for none.
-    repeat : int
-        Copies along an edge of the cell.
+    Axes `starts`, `ends` (m, 3), `radius` and the length `blend`, over which joints are rounded, are in cell sizes;
+    `radii` (m, 2) at both ends are over `radius`. There are `repeat` copies along an edge of the cell.
     """
 
     lattice: str
@@ -44,7 +35,7 @@ class StrutField(FormulaField):
     blend: float
     repeat: int = 1
     grown: float = 0.0
-    """What was added to all radii after the shares were applied, cell sizes."""
+    """Length added to all radii after the shares were applied, cell sizes."""
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -94,7 +85,7 @@ class Struts(FieldMaker):
     repeat: int = option(1, help="periods along an edge of the cell", minimum=1, maximum=64)
 
     def run(self, context: Context) -> ScalarField:
-        """Lay the graph out; the field is evaluated where somebody samples it."""
+        """Lay the graph out; the field is evaluated where it is sampled."""
         radius, blend = self.in_cells(self.radius), self.in_cells(self.blend)
         if not (radius < 0.5 and blend < 0.5):
             raise ConfigError(f"radius {radius:g} and blend {blend:g} must be less than half the cell size")
@@ -112,13 +103,7 @@ class Struts(FieldMaker):
 
 
 def read_graph(path: Path) -> StrutGraph:
-    """Read a graph of struts from JSON or CSV.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read or is no graph; with its place.
-    """
+    """Read a graph of struts from JSON or CSV; `InputError` with its place if it is none."""
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise InputError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB, too large for a graph of struts")

@@ -25,16 +25,10 @@ KINDS = tuple("".join(letters) for n in range(1, 5) for letters in combinations(
 
 
 class Texture(NamedTuple):
-    """A truss.
+    """A truss: `edges` are pairs of nodes.
 
-    Attributes
-    ----------
-    edges : tuple of pairs of str
-        Nodes that are joined.
-    weights : mapping of str to tuple of float
-        Barycentric weights of a node, one for each letter of its name; equal ones if it is not named.
-    radii : mapping of str to float
-        Radius at a node over the mean; 1 if it is not named.
+    By name of a node: `weights` are barycentric, one for each letter, equal ones if it is not named; `radii` are over
+    the mean, 1 if it is not named.
     """
 
     edges: tuple[tuple[str, str], ...]
@@ -43,13 +37,7 @@ class Texture(NamedTuple):
 
 
 def read_pattern(text: str) -> tuple[tuple[str, str], ...]:
-    """Read edges such as ``"c-cv cv-ev"``.
-
-    Raises
-    ------
-    ConfigError
-        If a word is no pair of different kinds of nodes, or an edge stands there twice.
-    """
+    """Read edges such as ``"c-cv cv-ev"``; `ConfigError` for equal kinds of nodes, or an edge that comes twice."""
     edges = []
     for word in text.replace(",", " ").split():
         ends = tuple("".join(sorted(name, key="cfev".find)) for name in word.split("-"))
@@ -69,10 +57,7 @@ def read_pattern(text: str) -> tuple[tuple[str, str], ...]:
 def read_weights(text: str, what: str, nodes: set[str], single: bool) -> dict[str, tuple[float, ...]]:
     """Read values of nodes such as ``"cf=1:2 fev=1:1:3"``, or a single one for each if `single`.
 
-    Raises
-    ------
-    ConfigError
-        If a node is not in the pattern, or the values are not as many positive numbers as they should be.
+    `ConfigError` if a node is not in the pattern, or the values are not as many positive numbers as they should be.
     """
     found: dict[str, tuple[float, ...]] = {}
     for word in text.replace(",", " ").split():
@@ -99,10 +84,7 @@ def read_weights(text: str, what: str, nodes: set[str], single: bool) -> dict[st
 def texture_graph(texture: Texture) -> StrutGraph:
     """The struts of one cell: those of the tetrahedron, mirrored by the 48 symmetries of the cube.
 
-    Raises
-    ------
-    DesignError
-        If the struts of neighboring cells are not all connected.
+    `DesignError` if the struts of neighboring cells are not all connected.
     """
     starts, ends, radii = [], [], []
     for a, b in texture.edges:

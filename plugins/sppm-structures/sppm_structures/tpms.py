@@ -19,21 +19,11 @@ far from the surface."""
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TpmsField(FormulaField):
-    """The solid on one side of a nodal surface, or around it.
+    """The solid on one side of a nodal surface, or around it, with `repeat` periods along an edge of the cell.
 
-    Attributes
-    ----------
-    surface : str
-        A key of `SURFACES`.
-    repeat : int
-        Periods of the surface along an edge of the cell.
-    form : {"network", "sheet", "wall"}
-        ``f < level`` (or ``>``, if turned); ``|f - level| < width``; the same with the distance ``|f - level| / |f'|``
-        in place of the difference, and half the wall's thickness in place of the width.
-    turned : bool
-        Whether a network is the other of the two.
-    level, width : float
-        The width of a sheet in units of f, of a wall in cell sizes.
+    A "network" is ``f < level`` (or ``>``, if turned); a "sheet" ``|f - level| < width``; a "wall" the same with the
+    distance ``|f - level| / |f'|`` in place of the difference, and half its thickness, cell sizes, in place of the
+    width.
     """
 
     surface: str
@@ -112,7 +102,7 @@ class Tpms(FieldMaker):
             raise ConfigError("a network has no thickness", hint="give `form: sheet`, or an `isovalue`")
 
     def run(self, context: Context) -> ScalarField:
-        """Name the surface; it is evaluated where somebody samples it."""
+        """Name the surface; it is evaluated where it is sampled."""
         form, width = self.form, 0.0
         if form == "sheet":
             if self.half_width is not None:

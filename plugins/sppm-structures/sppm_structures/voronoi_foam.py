@@ -31,19 +31,10 @@ MAX_SHARED = np.sqrt(3.0) / 2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VoronoiFoam(CellwiseField):
-    """Distance from the surface of a foam.
+    """Distance from the surface of an "open" or "closed" foam.
 
-    Attributes
-    ----------
-    form : {"open", "closed"}
-    hashed : HashedSeeds or None
-        Seeds drawn by their place.
-    given : (n, 3) float64
-        Seeds of the periodic cell, if they are not drawn.
-    half : float
-        Radius of the struts, or half the thickness of the walls, cell sizes.
-    blend : float
-        Length over which joints of struts are rounded, cell sizes.
+    Seeds are drawn by their place (`hashed`), or those of the periodic cell (`given`, (n, 3)). In cell sizes: `half`,
+    the radius of the struts or half the thickness of the walls, and `blend`, over which joints of struts are rounded.
     """
 
     form: str
@@ -169,7 +160,7 @@ class Voronoi(PartFieldMaker):
             raise ConfigError("`fine` cuts the places of jittered seeds")
 
     def run(self, context: Context, pores: PoreSet | None, cover: SurfaceMesh | None) -> ScalarField:
-        """Choose the seeds; the field is evaluated where somebody samples it."""
+        """Choose the seeds; the field is evaluated where it is sampled."""
         edge = self.edge_mm
         if edge is None and pores is not None and pores.cell.physical:
             edge = pores.cell.edge
@@ -203,7 +194,7 @@ class Voronoi(PartFieldMaker):
 
 
 def _seeds_of(pores: PoreSet) -> NDArray[np.float64]:
-    """The pores of a lone cell, folded into it, each once."""
+    """The pores of a single cell, folded into it, each once."""
     if pores.interiors > 1 or max(pores.colors) > 1:
         raise InputError("a foam needs the pores of one cell, not of a tile set")
     centers = pores.centers - np.floor(pores.centers)

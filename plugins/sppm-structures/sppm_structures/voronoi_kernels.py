@@ -20,16 +20,9 @@ _SAME = 1e-9
 
 
 class WallTable(NamedTuple):
-    """Seeds sorted into buckets of the cell.
+    """Seeds (n, 3) of the cell and of its neighbors, sorted into buckets of the cell.
 
-    Attributes
-    ----------
-    seeds : (n, 3) float64
-        Those of the cell and of its neighbors.
-    begin, end : (BUCKETS^3,) int64
-        Where the list of each bucket begins and ends.
-    listed : (m,) int32
-        Seeds of the lists.
+    The list of each bucket lies in `listed` (m,), from `begin` to `end` (BUCKETS^3,).
     """
 
     seeds: NDArray[np.float64]
@@ -39,23 +32,11 @@ class WallTable(NamedTuple):
 
 
 def voronoi_edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> NDArray[np.float64]:
-    """Edges of the Voronoi cells of the first `own` seeds, each edge with one of the cells that share it.
+    """Edges (m, 6), both ends, of the Voronoi cells of the first `own` seeds, each with one of the cells that share it.
 
-    Parameters
-    ----------
-    seeds : (n, 3) float64
-        Seeds, complete within the distance `most` of the first ones.
-    own : int
-    radius : float
-        Seeds within this distance are looked at first, more where they don't suffice.
-    most : float
-        Largest distance that is looked at; twice the largest distance that a point can have from the nearest seed is
-        always enough.
-
-    Returns
-    -------
-    (m, 6) float64
-        Both ends. The edge belongs to the seed that comes first by x, then y, then z.
+    `seeds` (n, 3) are complete within the distance `most` of the first ones, the largest that is looked at; twice the
+    largest distance that a point can have from the nearest seed is always enough. Those within `radius` are looked at
+    first, more where they don't suffice. An edge belongs to the seed that comes first by x, then y, then z.
     """
     seeds = np.ascontiguousarray(seeds, np.float64)
     return _edges(seeds, int(own), float(radius), float(most))
@@ -82,7 +63,7 @@ def evaluate_walls(
 
 @jit
 def _before(x: float, y: float, z: float) -> bool:
-    """Whether a seed at this place relative to another comes first."""
+    """True if a seed at this place relative to another comes first, by x, then y, then z."""
     if abs(x) > _SAME:
         return x < 0.0
     if abs(y) > _SAME:

@@ -1,7 +1,7 @@
 """Sums of cosine waves with integer wave vectors: smooth random functions that repeat with the cell.
 
 ``f(p) = sum_i a_i cos(2 pi k_i . p + phase_i)`` is summed axis by axis: all waves that share (kx, ky) first along z,
-then those that share kx along y, then along x. So a sample costs as many terms as there are different kx, some ten for
+then those that share kx along y, then along x. So a sample costs as many terms as there are different kx, about 10 for
 a thousand waves. Every sum runs in the order of the waves, whatever the grid.
 """
 
@@ -16,12 +16,8 @@ from numpy.typing import NDArray
 class Waves(NamedTuple):
     """Waves sorted by wave vector, kx first.
 
-    Attributes
-    ----------
-    vectors : (n, 3) int64
-        Periods along the edges of the cell; of a vector and its opposite, which make the same wave, one.
-    real, imaginary : (n,) float64
-        ``a cos(phase)`` and ``a sin(phase)``.
+    `vectors` (n, 3) are periods along the edges of the cell; of a vector and its opposite, which make the same wave,
+    one. `real`, `imaginary` (n,) are ``a cos(phase)`` and ``a sin(phase)``.
     """
 
     vectors: NDArray[np.int64]

@@ -97,7 +97,7 @@ def test_a_gyroid_without_randomness_is_the_gyroid():
 
 
 def test_lids_close_the_share_asked_for():
-    """Where a lid is high enough one labyrinth is solid; elsewhere nothing changes."""
+    """A lid that is high enough makes one labyrinth solid there; elsewhere nothing changes."""
     open_field, closed = (made(StochasticGyroid(closed=share)) for share in (0.0, 0.2))
     before, after = (field.sample(cell_centers(48)) for field in (open_field, closed))
     assert (after <= before).all()

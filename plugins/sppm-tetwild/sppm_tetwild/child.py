@@ -1,4 +1,4 @@
-"""What runs in the child process: fTetWild on arrays."""
+"""Functions of the child process: fTetWild on arrays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sppm_tetwild.random_device import SeededDevice
 def tetrahedra(
     arrays: Mapping[str, NDArray[Any]], options: Mapping[str, Any]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Nodes and tetrahedra inside a closed surface; whether the random numbers were ours."""
+    """Nodes and tetrahedra inside a closed surface; and whether the random numbers were replaced."""
     notify("load fTetWild")
     pytetwild = _without_pyvista("pytetwild.pytetwild")
     library = sys.modules["pytetwild.PyfTetWildWrapper"]

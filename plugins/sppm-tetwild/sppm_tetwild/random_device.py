@@ -2,8 +2,8 @@
 
 fTetWild seeds its generators from the system's random device, ``std::random_device``, and offers no way to seed them
 itself, so that no two of its meshes are the same. Its shared library calls the device through a slot that the dynamic
-linker fills; here that slot is filled with a function of ours. Called in a child process before fTetWild starts; where
-the library is not as expected nothing is changed, and the caller is notified.
+linker fills; here that slot is filled with a function of this module. Called in a child process before fTetWild starts;
+where the library is not as expected nothing is changed, and the caller is notified.
 
 The layout of the file is that of the System V ABI, chapters 4 and 5 ("Object files", "Program loading").
 """
@@ -30,20 +30,10 @@ _READ_WRITE = 3
 
 
 class SeededDevice:
-    """The random device of one shared library, seeded.
+    """The random device of one shared library that was loaded, seeded.
 
-    Parameters
-    ----------
-    path : Path
-        The library; it must have been loaded.
-    landmark : str
-        A function that it exports, from which we learn where it was loaded.
-    seed : int
-
-    Attributes
-    ----------
-    drawn : int
-        How many numbers were taken; none, if the device could not be replaced.
+    `landmark` is a function that it exports, by which its place in memory is known. `drawn` numbers were taken; none,
+    if the device could not be replaced.
     """
 
     def __init__(self, path: Path, landmark: str, seed: int) -> None:
@@ -69,10 +59,7 @@ class SeededDevice:
 def _find(data: bytes, landmark: bytes) -> tuple[list[int], int]:
     """Offsets of the slots of the random device, and of `landmark`, in the library as it is loaded.
 
-    Raises
-    ------
-    ValueError
-        If there is no such slot or landmark, or the file is no 64-bit little-endian ELF library.
+    `ValueError` if there is no such slot or landmark, or the file is no 64-bit little-endian ELF library.
     """
     kinds = _SLOTS.get(platform.machine())
     if kinds is None or data[:6] != b"\x7fELF\x02\x01":
@@ -108,13 +95,7 @@ def _find(data: bytes, landmark: bytes) -> tuple[list[int], int]:
 
 
 def _write_address(place: int, value: int) -> None:
-    """Write an address into memory that may be protected.
-
-    Raises
-    ------
-    OSError
-        If the system does not allow it.
-    """
+    """Write an address into memory that may be protected; `OSError` if the system does not allow it."""
     page = place & ~(mmap.PAGESIZE - 1)
     if ctypes.CDLL(None).mprotect(ctypes.c_void_p(page), ctypes.c_size_t(mmap.PAGESIZE), _READ_WRITE):
         raise OSError("the linker's table can't be written to")

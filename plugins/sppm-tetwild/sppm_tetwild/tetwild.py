@@ -63,7 +63,7 @@ class TetWild(Stage):
 
     @property
     def periodic_box(self) -> bool:
-        """Whether the mesh has the box of a cell, which `homogenize.tet` requires."""
+        """True if the mesh has the box of a cell, which `homogenize.tet` requires."""
         return self.cell is not None
 
     def run(self, context: Context, mesh: SurfaceMesh) -> VolumeMesh:
@@ -128,13 +128,7 @@ class TetWild(Stage):
         return np.array([[0.0] * 3, [edge] * 3])
 
     def _report(self, context: Context, made: VolumeMesh, enclosed: float, envelope: float) -> None:
-        """Volume and quality.
-
-        Raises
-        ------
-        DesignError
-            If more volume is missing or added than the envelope can hold.
-        """
+        """Report volume and quality; `DesignError` if more volume is missing or added than the envelope can hold."""
         from sppm_tetwild.quality import aspect_ratios, dihedral_angles
 
         angles = dihedral_angles(made.nodes, made.cells)
@@ -162,13 +156,7 @@ class TetWild(Stage):
 
 
 def _checked(mesh: SurfaceMesh) -> tuple[float, float, float]:
-    """Diagonal of the box, area and volume of a surface that fTetWild survives.
-
-    Raises
-    ------
-    InputError
-        If the surface is empty, flat, open or inside out.
-    """
+    """Diagonal of the box, area and volume of a surface; `InputError` if it is empty, flat, open or inside out."""
     from sppm_pipeline.numerics import mesh_area as surface_area
     from sppm_pipeline.numerics import mesh_edges as edge_counts
     from sppm_pipeline.numerics import mesh_volume as volume
@@ -200,10 +188,7 @@ def _oriented(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Nodes in use, and tetrahedra with positive volume.
 
-    Raises
-    ------
-    DesignError
-        If nothing came back, a tetrahedron is flat, or some overlap.
+    `DesignError` if nothing came back, a tetrahedron is flat, or some overlap.
     """
     from sppm_tetwild.quality import cell_volumes, non_manifold_faces
 
