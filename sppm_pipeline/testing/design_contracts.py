@@ -92,6 +92,7 @@ class ConnectorContract(StageContract):
         for stage in self.stages() if self.connected else ():
             graph, _ = self._run(stage)
             found = np.arange(len(graph.pores.centers))
+            # labels go from pore to pore; as many rounds as pores reach the end of the longest chain
             for _ in found:
                 for a, b in graph.edges:
                     found[[a, b]] = found[[a, b]].min()
@@ -100,6 +101,7 @@ class ConnectorContract(StageContract):
     def test_tunnels_to_faces(self) -> None:
         """From an interior to the face patterns it may meet, on the side where they lie."""
         rng = np.random.default_rng(4)
+        # interior pores near the middle, and three of a face across x, at x = 0
         centers = np.concatenate([0.25 + rng.random((8, 3)) / 2, rng.random((3, 3)) * [0, 1, 1]])
         pores = PoreSet(Cell(), centers, np.repeat(np.array([0, 1], np.int32), [8, 3]), colors=(1, 0, 0))
         for stage in self.stages():
@@ -108,6 +110,7 @@ class ConnectorContract(StageContract):
             ends = pores.piece[graph.edges]
             across = ends[:, 0] != ends[:, 1]
             assert across.any(), "no tunnel leads to the face"
+            # a pattern of a face stands at x = 0 and, shifted by a cell, at x = 1
             assert np.isin(graph.shift[across, 0], (0, 1)).all()
             assert not graph.shift[across, 1:].any()
 
@@ -144,6 +147,7 @@ class TilerContract(StageContract):
     def test_fills_a_part_and_nothing_else(self) -> None:
         """Of any shape: `lay` gets a mask, and keeps to it."""
         mask = np.zeros((3, 4, 5), bool)
+        # a block, and two cells that touch no other by a face
         mask[1:, 1:3, 1] = mask[0, 0, 0] = mask[2, 3, 4] = True
         for stage in self.stages():
             assert isinstance(stage, Tiler)

@@ -19,19 +19,9 @@ _PAIRS = 1 << 20
 
 
 def exact_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum of all kernels at arbitrary points (paper, eq. 1-3).
+    """Sum of all kernels at points (k, 3) in their unit, float64 (k,) (paper, eq. 1-3).
 
-    Parameters
-    ----------
-    kernels : Kernels
-        Pores and tunnels; a tunnel of length zero is a point.
-    points : (k, 3) float64
-        Sample points, in the unit of the kernels.
-
-    Returns
-    -------
-    (k,) float64
-        The field at the points.
+    A tunnel of length zero is a point.
     """
     points = np.asarray(points, dtype=np.float64)
     if kernels.pore_metric is not None and kernels.tunnel_metric is not None:
@@ -44,6 +34,7 @@ def exact_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.float
         from_center = chunk - kernels.centers
         total = np.exp(-kernels.omega * np.einsum("ijk,ijk->ij", from_center, from_center)).sum(axis=1)
         from_start = chunk - kernels.starts
+        # the nearest point of each axis, its ends included
         share = np.clip(np.einsum("ijk,jk->ij", from_start, along) * inverse, 0.0, 1.0)
         nearest = from_start - share[..., None] * along
         squared = np.einsum("ijk,ijk->ij", nearest, nearest)
@@ -58,6 +49,7 @@ def _stretched_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.
     assert kernels.tunnel_metric is not None
     for number, metric in enumerate(matrices(np.concatenate([kernels.pore_metric, kernels.tunnel_metric]))):
         values, vectors = np.linalg.eigh(metric)
+        # the symmetric root: |M^(1/2) x| is the length of x in the metric M
         root = vectors @ np.diag(np.sqrt(values)) @ vectors.T
         pores = slice(number, number + 1) if number < len(kernels.omega) else slice(0)
         tunnels = slice(0) if number < len(kernels.omega) else slice(number - len(kernels.omega), None)
@@ -109,6 +101,7 @@ def cutoff_bound(
         raise ValueError("the cut-off of stretched kernels has no bound here")
     lower, upper = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
     size = (upper - lower) / blocks
+    # no point of a block lies further from its center
     half = float(np.linalg.norm(size)) / 2.0
     index = np.stack(np.meshgrid(*[np.arange(blocks)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     centers = lower + (index + 0.5) * size
@@ -142,6 +135,7 @@ def cutoff_bound(
         rounded += (tunnel_rounding * peak).sum(axis=1)
         total += peak.sum(axis=1)
         count += (distance - half < tunnels).sum(axis=1)
+        # each addition in float32 rounds by half a unit in the last place of the sum
         rounded += total * count * 2.0**-24
         worst = max(worst, float((lost + rounded).max(initial=0.0)))
     return worst

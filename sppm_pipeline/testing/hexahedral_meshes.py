@@ -67,5 +67,6 @@ def _together(parts: list[tuple[Points, Cells]]) -> tuple[Points, Cells]:
     first = np.cumsum([0, *(len(points) for points, _ in parts)])
     points = np.concatenate([own for own, _ in parts])
     quads = np.concatenate([cells + begin for (_, cells), begin in zip(parts, first[:-1], strict=True)])
+    # rounded, as nodes of two parts differ in their last digits; + 0.0 makes -0 and 0 one
     _, kept, number = np.unique((points + 0.0).round(9) + 0.0, axis=0, return_index=True, return_inverse=True)
     return points[kept], number.reshape(-1)[quads]

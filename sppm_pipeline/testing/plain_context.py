@@ -99,16 +99,19 @@ class PlainContext(RunContext):
         """See `Context.map`; with `workers` all that is mapped travels to this process."""
         if not self.workers:
             return super().map(function, items, common)
+        # raises for what workers of another process could not import
         name_of(function)
         return self._traveling(function, items, common)
 
     def _traveling(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any) -> Iterator[Any]:
         if common is not None:
             with tempfile.TemporaryDirectory(prefix="sppm-") as folder:
+                # what can't be stored fails here, not only with real workers
                 files = save_value(common, Path(folder))
                 common = load_value(Path(folder), {file.name: file for file in files})
         for number, item in enumerate(items):
             sent = pickle.dumps(item)
+            # a function that keeps something between items gives another result the second time
             if not number:
                 function(common, pickle.loads(sent))
             yield pickle.loads(pickle.dumps(function(common, pickle.loads(sent))))
@@ -152,13 +155,7 @@ class PlainContext(RunContext):
 
 
 def recipe_of(*stages: Stage, name: str = "recipe") -> StepRecipe:
-    """A recipe made of stages, wired by type as in a configuration.
-
-    Raises
-    ------
-    WiringError
-        If a stage lacks an input.
-    """
+    """A recipe made of stages, wired by type as in a configuration; `WiringError` if one lacks an input."""
     where = Position(name, 1, 1)
     owner = Plugin("the test")
     drafts: list[Draft | None] = []

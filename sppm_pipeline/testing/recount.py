@@ -23,6 +23,7 @@ def laid_kernels(tiling: Tiling) -> tuple[NDArray[np.float64], NDArray[np.float6
     if kernels.pore_metric is not None:
         raise ValueError("stretched kernels can't be counted again")
     pores, halo = graph.pores, arrays.halo
+    # rounded, as a place has to be the same key to its last digit
     omega = {tuple(c): w for c, w in zip(kernels.centers.round(12).tolist(), kernels.omega.tolist(), strict=True)}
     mu = {
         (*a, *b): m
@@ -42,6 +43,7 @@ def laid_kernels(tiling: Tiling) -> tuple[NDArray[np.float64], NDArray[np.float6
                 color = int(arrays.faces[axis][tuple(at)])
                 if color >= 0:
                     faces_at.setdefault(tuple(cell - halo), set()).add((interior, axis, side, color))
+    # pieces are numbered interiors first, then the colors of the faces across x, y and z
     first_color = np.concatenate([[0], np.cumsum(pores.colors)])
     for axis in range(3):
         for at in np.argwhere(arrays.faces[axis] >= 0):
@@ -76,20 +78,15 @@ def recounted_porosity(
 ) -> float:
     """Share of void in a cell on n^3 voxel centers, for linear tunnels and a level between control points.
 
-    Parameters
-    ----------
-    kernels : two arrays
-        See `laid_kernels`.
-    log_level : (nx, ny, nz) float64
-        Control points of ln C, one a cell.
-    cell : tuple of 3 ints
-    n : int
+    `kernels` are those of `laid_kernels`; `log_level` (nx, ny, nz) are control points of ln C, one a cell.
     """
     pores, tunnels = kernels
     t = (np.arange(n) + 0.5) / n
     x, y, z = (c + t for c in cell)
+    # from each pore to the nearest point of the cell
     near = np.array([np.clip(pores[:, a], c, c + 1) - pores[:, a] for a, c in enumerate(cell)])
     pores = pores[(near**2).sum(0) * pores[:, 3] < _PORE_REACH]
+    # a Gaussian is a product over the axes: three short vectors a pore, not n^3 exponentials
     along = [np.exp(-pores[:, 3, None] * (p - pores[:, a, None]) ** 2) for a, p in enumerate((x, y, z))]
     flat = (along[0][:, :, None] * along[1][:, None, :]).reshape(len(pores), n * n)
     total = (flat.T @ along[2]).reshape(n, n, n)
@@ -106,13 +103,16 @@ def recounted_porosity(
         points = np.stack(np.meshgrid(x[box[0]], y[box[1]], z[box[2]], indexing="ij"), -1) - start
         if points.size:
             axis = end - start
+            # the nearest point of the tunnel's axis
             share = np.clip(points @ axis / (axis @ axis), 0, 1)
             total[tuple(box)] += np.exp(-mu * np.linalg.norm(points - share[..., None] * axis, axis=-1))
+    # quadratic B-splines, whose control points stand at the centers of cells
     weights = [(1 - t) ** 2 / 2, 0.5 + t - t**2, t**2 / 2]
     level = np.zeros((n, n, n))
     for i in range(3):
         for j in range(3):
             for k in range(3):
+                # the outermost control points go on beyond the box
                 place = tuple(
                     min(max(c + d - 1, 0), size - 1)
                     for c, d, size in zip(cell, (i, j, k), log_level.shape, strict=True)

@@ -70,6 +70,7 @@ class FieldContract(StageContract):
             assert whole.dtype == np.float32
             parts = [field.sample_layers(grid, start, stop, threads=3) for start, stop in ((0, 2), (2, 3), (3, 7))]
             assert np.array_equal(np.concatenate(parts, axis=2), whole)
+            # the same points as part of another grid: sums may be rounded otherwise
             inner = Grid((0.25, 0.33, 0.18), (0.1, 0.15, 0.11), (4, 3, 2))
             assert np.allclose(field.sample(inner), whole[2:6, 2:5, 1:3], atol=1e-6 * np.abs(whole).max())
 
@@ -79,6 +80,7 @@ class FieldContract(StageContract):
             if field.periodic:
                 grid = Grid((0.1, 0.2, 0.3), (0.17, 0.13, 0.11), (4, 5, 6))
                 nx, ny, nz = field.cells
+                # by whole boxes, in either direction
                 moved = Grid((0.1 + nx, 0.2 - ny, 0.3 + 2 * nz), grid.spacing, grid.shape)
                 values = field.sample(grid)
                 assert np.allclose(field.sample(moved), values, atol=1e-5 * np.abs(values).max())

@@ -173,6 +173,7 @@ class Repeat(Stage):
         for attempt in range(self.attempts):
             try:
                 made = recipe.run(context, attempt=attempt, options=options)
+            # the attempt is part of the generators' path, so that the next draw is another one
             except Rejected:
                 continue
             context.report(attempts=attempt + 1)
@@ -205,6 +206,7 @@ class WriteTable(Stage):
 
     def run(self, context: Context, table: Table) -> None:
         """Add and write."""
+        # runs that failed leave a gap
         total = sum(value for value in table.columns[self.column] if value is not None)
         context.report(total=total, rows=table.rows)
         context.output(self.path).write_text(f"{total!r}\n", encoding="utf-8")
@@ -248,20 +250,9 @@ class Failing(Stage):
     how: str = option(
         "value",
         help="what goes wrong",
-        choices=(
-            "value",
-            "design",
-            "memory",
-            "disk",
-            "missing",
-            "wrong_type",
-            "inconsistent",
-            "no_output",
-            "escape",
-            "bad_report",
-            "interrupt",
-        ),
-    )
+        choices=("value", "design", "memory", "disk", "missing", "wrong_type", "inconsistent", "no_output", "escape",
+                 "bad_report", "interrupt"),
+    )  # fmt: skip
 
     def run(self, context: Context, number: Number | None) -> Number:
         """Fail."""
@@ -299,18 +290,7 @@ class Failing(Stage):
 def sppm_stages() -> dict[str, type[Stage]]:
     """All stages of this module."""
     classes: list[type[Stage]] = [
-        ReadNumber,
-        ReadWhole,
-        RandomNumber,
-        ScaleNumber,
-        AddNumbers,
-        TotalNumbers,
-        LimitNumber,
-        ToText,
-        Repeat,
-        WriteNumber,
-        WriteTable,
-        Varied,
-        Failing,
-    ]
+        ReadNumber, ReadWhole, RandomNumber, ScaleNumber, AddNumbers, TotalNumbers, LimitNumber, ToText, Repeat,
+        WriteNumber, WriteTable, Varied, Failing,
+    ]  # fmt: skip
     return {cls.name: cls for cls in classes}

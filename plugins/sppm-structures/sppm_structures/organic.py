@@ -54,6 +54,7 @@ class OrganicField(PlacedField):
         """Kernels by the cell they lie in, or that is next to them, so that a slab finds its own at once."""
         shape = np.array(self.cells)
         starts, ends = self.pores[self.tunnels[:, 0]], self.pores[self.tunnels[:, 1]]
+        # pores thrown beyond the box count for the cell at its side
         of_pore, of_tunnel = (np.clip(np.floor(p).astype(np.int64), 0, shape - 1) for p in (self.pores, starts))
         number = np.arange(math.prod(self.cells), dtype=np.int32).reshape(self.cells)
         pore_cell, tunnel_cell = number[tuple(of_pore.T)], number[tuple(of_tunnel.T)]
@@ -169,6 +170,7 @@ def near_pairs(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
 
     tree = cKDTree(points)
     pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
+    # a tree returns pairs in no order that is promised
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
     kept = np.ones(len(pairs), bool)

@@ -122,6 +122,7 @@ def _list(struts: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64]
     count[LEVELS] = len(struts)
     for morton in range(BUCKETS**3):
         for level in range(LEVELS - 1, -1, -1):
+            # a block is listed when its first bucket comes, and serves all of its buckets
             if morton % (1 << (3 * level)) != 0:
                 continue
             i, j, k = place_of(morton, level)
@@ -132,6 +133,7 @@ def _list(struts: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64]
                 s = near[level + 1, at]
                 distances[s] = _distance(struts, s, x, y, z)
                 nearest = min(nearest, distances[s])
+            # half a diagonal from the center, nearest and limit both change by `steep` times as much at most
             limit = nearest + 2.0 * steep * np.sqrt(3.0) * half / BUCKETS + margin + 1e-12
             count[level] = 0
             for at in range(count[level + 1]):
@@ -200,6 +202,7 @@ def _evaluate(
                         at_x[number], at_y[number] = x[n], y[row]
                         nearest[number], total[number] = np.inf, 0.0
                         number += 1
+                # the nearest of all has to be known before shares are added, so distances are kept
                 for at in range(count):
                     _distances(struts, listed[start + at], at_x, at_y, z[k], number, distances, at, nearest)
                 if blend > 0.0:
@@ -209,6 +212,7 @@ def _evaluate(
                 for row in range(j, last):
                     for n in range(i, stop):
                         value = nearest[number]
+                        # one strut alone has the share 1, whose logarithm is 0
                         if total[number] > 1.0:
                             value -= blend * np.log(total[number])
                         values[k, row, n] = np.float32(value)
@@ -237,6 +241,7 @@ def _distances(
     for n in range(number):
         px, py = x[n] - sx, y[n] - sy
         along = (px * dx + (py * dy + pz * dz)) * inverse
+        # selections without branches, so that the compiler may take several samples at once
         along = along if along > 0.0 else 0.0
         along = along if along < 1.0 else 1.0
         qx, qy, qz = px - along * dx, py - along * dy, pz - along * dz

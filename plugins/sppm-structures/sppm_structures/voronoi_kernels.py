@@ -88,6 +88,7 @@ def _edges_of_one(
             uy = near[j, 2] * near[k, 0] - near[j, 0] * near[k, 2]
             uz = near[j, 0] * near[k, 1] - near[j, 1] * near[k, 0]
             across = ux * ux + uy * uy + uz * uz
+            # parallel planes have no line in common
             if across <= 1e-18 * half[j] * half[k]:
                 continue
             # the point of both planes nearest to the seed: a of one normal and b of the other
@@ -249,6 +250,7 @@ def _list(seeds: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int
             half = 0.5 * (1 << level)
             x, y, z = (i + half) / BUCKETS, (j + half) / BUCKETS, (k + half) / BUCKETS
             limit = _limit(seeds, near, level + 1, count[level + 1], x, y, z, distances)
+            # W and both distances change by half a diagonal at most: once for p, once for b, twice for W
             limit += 4.0 * np.sqrt(3.0) * half / BUCKETS
             count[level] = 0
             for at in range(count[level + 1]):
