@@ -32,14 +32,9 @@ POLL = 0.2
 """Longest time in seconds after which a call to `stop_all` is noticed."""
 
 _THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
+    "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS",
+)  # fmt: skip
 """Environment variables of thread pools."""
 
 _SCRIPTS = Path(__file__).parent
@@ -169,16 +164,10 @@ def _write_job(
     for name in ("arrays", "work"):
         (folder / name).mkdir()
     write_arrays(folder / "arrays", arrays)
-    job = {
-        "function": function,
-        "arrays": sorted(arrays),
-        "options": dict(options),
-        "returns": sorted(returns),
-        "memory": memory,
-        "path": [os.path.abspath(entry) for entry in sys.path],
-    }
+    path = [os.path.abspath(entry) for entry in sys.path]
+    job = {"function": function, "arrays": sorted(arrays), "options": dict(options), "returns": sorted(returns)}
     try:
-        text = json.dumps(job, allow_nan=False)
+        text = json.dumps({**job, "memory": memory, "path": path}, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"the options must be JSON values: {error}") from None
     (folder / "job.json").write_text(text, encoding="utf-8")

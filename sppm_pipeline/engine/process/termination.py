@@ -81,11 +81,8 @@ def outcome_of(termination: Termination, task: Task, path: Path) -> dict[str, An
         hint = f"install it: pip install {task.distribution}"
         raise PluginError(f"{task.who} needs the module {outcome['module']!r}, which can't be imported", hint=hint)
     if "raised" in outcome:
-        what = (
-            outcome["message"]
-            if outcome["raised"] == "SystemExit"
-            else f"raised {outcome['raised']}: " + (outcome["message"])
-        )
+        raised = "" if outcome["raised"] == "SystemExit" else f"raised {outcome['raised']}: "
+        what = raised + outcome["message"]
         raise error_of(PluginError, termination, task, what, task.hint)
     values = outcome["values"]
     assert isinstance(values, dict)

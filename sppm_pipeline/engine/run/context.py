@@ -212,14 +212,7 @@ class RunContext(Context):
         """See `Context.remember`; stages call this on their way out of an interrupted run, too."""
         if self._store is None:
             return
-        about = {
-            "stage": self.address,
-            "id": self.address,
-            "seconds": 0.0,
-            "random": False,
-            "facts": {},
-            "same_as": None,
-        }
+        about = {"stage": self.address, "id": self.address, "seconds": 0.0, "random": False, "facts": {}}
         # state is a convenience: without it an interrupted stage begins again
         with contextlib.suppress(OSError):
             self._store.remove(_unfinished(key))

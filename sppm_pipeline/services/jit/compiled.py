@@ -21,12 +21,8 @@ from numpy import ndarray
 import sppm_pipeline.services.jit.kernel_cache as kernel_cache
 import sppm_pipeline.services.jit.machine_code as machine_code
 
-argument_kind, signature_as_json, load, usable = (
-    machine_code.argument_kind,
-    machine_code.signature_as_json,
-    machine_code.load,
-    machine_code.usable,
-)
+argument_kind, signature_as_json = machine_code.argument_kind, machine_code.signature_as_json
+load, usable = machine_code.load, machine_code.usable
 _NUMBERS = frozenset(machine_code.NUMBERS)
 
 F = TypeVar("F", bound=Callable[..., Any])

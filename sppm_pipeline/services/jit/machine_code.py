@@ -193,12 +193,7 @@ def keep(function: FunctionType, kinds: Sequence[Any], code: Code) -> None:
     needed = {n: dtypes for n, dtypes in code.environments.items() if n == code.environment or n in symbols[1]}
     if None in needed.values():
         return
-    about = {
-        "entry": code.entry,
-        "environment": code.environment,
-        "environments": needed,
-        "symbols": symbols[0],
-    }
+    about = {"entry": code.entry, "environment": code.environment, "environments": needed, "symbols": symbols[0]}
     head = json.dumps(about, separators=(",", ":")).encode()
     new = f"{file}.{os.getpid()}-{threading.get_ident()}"
     whole = struct.pack("<I", len(head)) + head + code.object
