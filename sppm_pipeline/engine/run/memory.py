@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class MemoryRun:
-    """A run that has written nothing: its `record`, without a digest, and what its stages made.
+    """A run that has written nothing: its `record`, without digests and audit, and what its stages made.
 
     Stages that only write files are marked ``skipped`` in the record.
     """
