@@ -22,7 +22,7 @@ PRESETS = {
         {**_PORES, "edge": 2, "degree": [3, 5], "omega": 30, "mu": 30, "level": 0.25},
     ),
     "stiff": Preset(
-        "stiff, the same in all directions, and open: walls between hyperuniform pores, pierced by the fewest tunnels",
+        "stiff, isotropic and open: walls between hyperuniform pores, pierced by the fewest tunnels",
         [
             *_THROWN,
             {"stage": "sample.hyperuniform", "total": "${total}", "stealth": "${stealth}"},

@@ -182,7 +182,7 @@ class Size:
     design: CellDesign | None = None
     geometry: Geometry | None = None
     result: Size | None = None
-    """What later stages see where the counts are work alone, as in a search that makes many candidates."""
+    """Size that later stages see where the counts are work alone, as in a search that makes many candidates."""
 
     def units(self) -> dict[str, float]:
         """The counts that are not zero."""

@@ -24,9 +24,9 @@ def make_private(path: Path) -> None:
 def exposure(path: Path) -> str:
     """Reason why another user may have written to a folder; empty if none can.
 
-    The folder itself must be ours or root's, no link, and closed to writers; the one it lies in either closed or
-    sticky, as the temporary folder is, so that nobody else can put another in its place. The folders above are the
-    user's choice.
+    The folder itself must belong to this user or root, be no link, and be closed to other writers; the one it lies in
+    must be closed or sticky, as the temporary folder is, so that no other user can replace it. The folders above are
+    the user's choice.
     """
     if sys.platform == "win32":  # folders of a user are closed by their access lists
         return ""

@@ -1,4 +1,4 @@
-"""Documents, and comments of configurations and scripts, use the standard terms of engineering and of Python.
+"""Documents, code, and comments of configurations and scripts use the standard terms of engineering and Python.
 
 What is searched: Markdown and notebooks without code, comments of YAML, comments and strings of Python.
 """
@@ -25,8 +25,9 @@ SEARCHED = (
     "configs/*.yaml",
     "examples/*.yaml",
     "examples/*.py",
+    "sppm_pipeline/**/*.py",
 )
-"""Patterns of files; the package joins them as ``"sppm_pipeline/**/*.py"``."""
+"""Patterns of files."""
 
 NOT_SEARCHED = (
     "docs/reference/*/*.md",  # written from docstrings, which are searched where they stand
@@ -45,7 +46,7 @@ WORDS = (
     (r"\ba choice\b", "that number is a choice", "a heuristic, and why; one of"),
     (r"\bby us\b|\bours\b", "no printer was fed by us", "not verified; this program"),
     (r"\bfed with\b", "a printer was fed with it", "printed, loaded"),
-    (r"(?<![\w.:%)\]}*/-])-?\.\d(?!\w*mf)", "a ratio of .28", "0.28"),
+    (r"(?<![\w.:+%)\]}*/-])-?\.\d(?!\w*mf)", "a ratio of .28", "0.28"),
     (r"\b(alike|same) (in|from) all (directions|sides)\b", "alike in all directions", "isotropic, symmetric"),
     (r"\b(no|some)body\b", "nobody can tell", "undefined, another user"),
     (r"\bg[ia]ves? way\b", "connect.mbdst gives way", "yield, fall back, deflect"),
@@ -68,7 +69,7 @@ WORDS = (
     (r"\bwho got what\b", "who got what from whom", "which stage feeds which"),
     (r"\b(honest|honestly)\b", "honest limits", "limits"),
     (r"\bper cent\b", "some per cent", "percent, %"),
-    (r"\b(colou?r|neighbou?r|behaviou?r)\b(?<=our)|\bgrey\b|\bmould", "a grey colour", "American spelling"),
+    (r"\b(colou?r|neighbou?r|behaviou?r)\b(?<=our)|(?<!\")\bgrey\b|\bmould", "a grey colour", "American spelling"),
     (r"\b(mode|labe|cance|trave)ll(er|ed|ing)\b", "your modeller", "American spelling: modeler"),
 )
 

@@ -36,7 +36,7 @@ _TEXT, _WORDS = _ENDS + 8, _ENDS + 8 + _AREA
 
 
 class Activity(NamedTuple):
-    """Current activity of a process; `kind` ("stage", "import" or "exit") tells which limit ends it.
+    """Current activity of a process; `kind` ("stage", "import" or "exit") decides which limit ends it.
 
     `what` is the subject of a sentence, `where` a place in the configuration or empty, `stage` an id or empty.
     """

@@ -152,7 +152,7 @@ def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
     """Do `work` in a thread, and raise `Interrupted` if a signal came and it has ended in time.
 
     `KeyboardInterrupt` is raised in the work at its next step of Python. If it is inside of compiled code for longer
-    than `PATIENCE`, its records are put in order from here, the user is told by `notify`, and the process is ended.
+    than `PATIENCE`, its records are put in order from here, `notify` informs the user, and the process is ended.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()

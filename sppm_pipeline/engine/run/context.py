@@ -50,7 +50,7 @@ class StageLog:
     """Reports of the stages of one step of the pipeline, those of its recipes included.
 
     By address: `values`, and of stages of recipes `inner`: how often they ran, how long, and their last summary.
-    `warnings` are pairs of address and message, each once. `drew` tells whether anybody asked for random numbers; if
+    `warnings` are pairs of address and message, each once. `drew` is True if random numbers were asked for; if
     not, the seed has no part in the result.
     """
 
