@@ -146,7 +146,7 @@ def _samples(tiles: Stage, layers: Stage) -> float:
     pitch = [*(summary.get("pixel_mm") or ()), summary.get("layer_mm")]
     cell = _number(tiles["summary"], "cell_mm")
     if cell is not None and all(isinstance(h, (int, float)) and h > 0 for h in pitch):
-        return min(searched, round(cell / max(pitch), 6))  # mm by mm: 4 / 0.125 is to be 32
+        return min(searched, float(round(cell / max(pitch), 6)))  # mm by mm: 4 / 0.125 is to be 32
     counts = [*summary.get("pixels", ()), summary.get("layers", 0)]
     return min(searched, *counts) if tiles["stage"] == "tune.porosity" else 0.0  # the box is the cell
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.palette import Palette
@@ -203,7 +204,7 @@ class Size:
             raise LookupError("the geometry is unknown")
         return self.geometry
 
-    def at_porosity(self, porosity: float | None, **changes: float) -> Size:
+    def at_porosity(self, porosity: float | None, **changes: Any) -> Size:
         """A field with a level that gives this porosity, if there is one; `changes` are other counts."""
         found = Size(design=self.design, geometry=self.body, **changes)
         if porosity is None or self.design is None:
@@ -223,7 +224,7 @@ class Size:
         made = replace(made, edge_mm=edge_mm or made.edge_mm, patches=patches or made.patches)
         return Size(cells=filled, design=self.design, geometry=made)
 
-    def grid(self, resolution: float, *, at_once: float = math.inf, **changes: float) -> Size:
+    def grid(self, resolution: float, *, at_once: float = math.inf, **changes: Any) -> Size:
         """The work of sampling a field on a grid, `at_once` samples at a time; `changes` are other counts."""
         samples = self.body.samples(resolution)
         return Size(
