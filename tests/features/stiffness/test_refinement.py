@@ -70,6 +70,7 @@ def test_what_can_not_be_extrapolated_stays():
 LIMITS = {("paper", 0.7): 0.03768, ("paper", 0.5): 0.19084, ("permeable", 0.3): 0.43241}
 
 
+@pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
 @pytest.mark.parametrize(("recipe", "porosity"), LIMITS)
 def test_the_modulus_is_right_on_coarse_grids(recipe, porosity):
     """In proportion to the solid fraction, 32 voxels gave 0.0477, 0.2142 and 0.4655."""
@@ -84,15 +85,18 @@ def test_the_modulus_is_right_on_coarse_grids(recipe, porosity):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GyroidSheet(FormulaField):
-    """A sheet around the gyroid, half of the cell."""
+    """A sheet around the gyroid of the same thickness everywhere, half of the cell."""
 
     def evaluate(self, x, y, z):
-        x, y, z = (2 * np.pi * along for along in (x, y, z))
-        return np.abs(np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)) - 0.7658
+        phases = [2 * np.pi * along for along in (x, y, z)]
+        sines, cosines = [np.sin(phase) for phase in phases], [np.cos(phase) for phase in phases]
+        value = sum(sines[i] * cosines[i - 2] for i in range(3))
+        slope = np.sqrt(sum((cosines[i] * cosines[i - 2] - sines[i] * sines[i - 1]) ** 2 for i in range(3)))
+        return np.abs(value) / np.maximum(2 * np.pi * slope, 0.1) - 0.09451277
 
 
 def test_the_error_bar_of_a_thick_smooth_sheet_covers():
-    """A bar by the square of the thickness, 6.7 voxels here, was 1.2 % for an error of 1.6 %."""
+    """A bar that fell with the square of the thickness, 5.5 voxels here, was 1.2 % for an error of 1.6 %."""
     found = HomogenizeVoxel(resolution=32).run(PlainContext(), GyroidSheet()).summary()
     assert abs(found["E_relative"] - 0.2521) < found["E_relative_error"] < 0.03 * 0.2521
 
