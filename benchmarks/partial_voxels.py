@@ -29,10 +29,18 @@ from sppm_pipeline.services.elastic.isotropy import nearest_isotropic
 from sppm_pipeline.services.elastic.voigt import lame
 from sppm_pipeline.testing.plain_context import PlainContext
 
+WIDE = [
+    {"stage": "sample.mirrored_faces", "total": 95, "share": 0.5},
+    {"stage": "sample.dart_throwing", "total": 95},
+    {"stage": "connect.mbdst", "degree": [3, 5], "mode": "greedy"},
+    {"stage": "field.gaussian", "pore_radius": 0.1075, "tunnel_radius": 0.0658},
+]
+"""The stages of the preset `permeable` with 95 pores, which the level makes small."""
+
 RECIPES: dict[str, Any] = {
     "paper": "paper",
     "stiff": "stiff",
-    "permeable": "permeable",
+    "permeable": WIDE,
     "gyroid": [{"stage": "field.tpms", "surface": "gyroid", "form": "sheet"}],
     "openfoam": [{"stage": "field.voronoi_foam", "form": "open"}],
     "spinodoid": [{"stage": "field.spinodoid"}],

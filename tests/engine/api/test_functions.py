@@ -111,7 +111,7 @@ def test_a_recipe_is_a_list_of_stages():
 
 
 def test_a_recipe_may_be_the_name_of_a_preset_but_not_one_stage():
-    cell = sppm.tune.porosity(recipe="paper", target=0.6, seed=1)
+    cell = sppm.tune.porosity(recipe="paper", target=0.6, fit_count=True, seed=1)
     assert sppm.check.porosity(resolution=24)(cell)["porosity"] == pytest.approx(0.6, abs=0.02)
     for one in (sppm.step.sample.dart_throwing(total=40, share=0.5), lambda: None):
         with pytest.raises(ConfigError, match=r"must be a list of stages, got one (dict|function)"):

@@ -67,7 +67,13 @@ def test_what_can_not_be_extrapolated_stays():
 
 
 # Limits of fine grids of benchmarks/partial_voxels.py, right to 0.4 %
-LIMITS = {("paper", 0.7): 0.03768, ("paper", 0.5): 0.19084, ("permeable", 0.3): 0.43241}
+WIDE = [
+    {"stage": "sample.mirrored_faces", "total": 95, "share": 0.5},
+    {"stage": "sample.dart_throwing", "total": 95},
+    {"stage": "connect.mbdst", "degree": [3, 5], "mode": "greedy"},
+    {"stage": "field.gaussian", "pore_radius": 0.1075, "tunnel_radius": 0.0658},
+]
+LIMITS = {("paper", 0.7): 0.03768, ("paper", 0.5): 0.19084, ("wide", 0.3): 0.43241}
 
 
 @pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
@@ -76,7 +82,7 @@ def test_the_modulus_is_right_on_coarse_grids(recipe, porosity):
     """In proportion to the solid fraction, 32 voxels gave 0.0477, 0.2142 and 0.4655."""
     import sppm_pipeline as sppm
 
-    field = sppm.tune.porosity(recipe=recipe, target=porosity, seed=1)
+    field = sppm.tune.porosity(recipe=WIDE if recipe == "wide" else recipe, target=porosity, seed=1)
     found = HomogenizeVoxel(resolution=32, solver_tolerance=1e-3).run(PlainContext(), field).summary()
     error = abs(found["E_relative"] - LIMITS[recipe, porosity])
     assert error < 0.04 * LIMITS[recipe, porosity]
