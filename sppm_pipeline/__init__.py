@@ -48,6 +48,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.engine.api.bound_stage import SppmWarning as SppmWarning
     from sppm_pipeline.engine.api.functions import check as check
     from sppm_pipeline.engine.api.functions import connect as connect
+    from sppm_pipeline.engine.api.functions import design as design
     from sppm_pipeline.engine.api.functions import extract as extract
     from sppm_pipeline.engine.api.functions import field as field
     from sppm_pipeline.engine.api.functions import fill as fill
@@ -128,7 +129,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
 
 _PLACES = {
     "engine.api.bound_stage": "SppmWarning",
-    "engine.api.functions": "check connect extract field fill grade homogenize measure mesh read sample slice "
+    "engine.api.functions": "check connect design extract field fill grade homogenize measure mesh read sample slice "
     "step tile tileset tune warp write",
     "engine.api.pipeline": "Pipeline load run",
     "engine.api.run": "Run",

@@ -29,6 +29,7 @@ FAMILIES: Mapping[str, str] = {
     "connect": "pores are joined by tunnels",
     "field": "pores and tunnels become a field",
     "tune": "a recipe is repeated until it meets a target",
+    "design": "a recipe is given the cell size and porosity for what is asked",
     "tileset": "a recipe is drawn for many interiors and face colors",
     "tile": "cells are laid into a part",
     "warp": "a tiling is bent to another shape",

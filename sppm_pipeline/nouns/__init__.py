@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.method.fields.formula import PlacedField as PlacedField
     from sppm_pipeline.method.fields.microstructure import PeriodicTile as PeriodicTile
     from sppm_pipeline.method.fields.scalar_field import WrappedField as WrappedField
+    from sppm_pipeline.method.nouns.cell_sizes import CellSizes as CellSizes
     from sppm_pipeline.method.nouns.mesh import RepeatedMesh as RepeatedMesh
     from sppm_pipeline.method.nouns.printer import Motion as Motion
     from sppm_pipeline.method.nouns.printer import Printer as Printer
@@ -83,6 +84,7 @@ _PLACES = {
     "method.fields.formula": "CellCache CellIndex CellwiseField FormulaField PlacedField",
     "method.fields.microstructure": "PeriodicTile",
     "method.fields.scalar_field": "WrappedField",
+    "method.nouns.cell_sizes": "CellSizes",
     "method.nouns.mesh": "RepeatedMesh",
     "method.nouns.printer": "Motion Printer",
     "method.nouns.stiffness": "StiffnessReport",

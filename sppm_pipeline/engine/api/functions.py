@@ -164,12 +164,12 @@ class Steps:
 step = Steps()
 check = CheckFamily("check", StageFunction)
 (
-    connect, extract, field, fill, grade, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, warp,
-    write,
+    connect, design, extract, field, fill, grade, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune,
+    warp, write,
 ) = (
     Family(name, StageFunction)
     for name in (
-        "connect", "extract", "field", "fill", "grade", "homogenize", "measure", "mesh", "read", "sample", "slice",
-        "tile", "tileset", "tune", "warp", "write",
+        "connect", "design", "extract", "field", "fill", "grade", "homogenize", "measure", "mesh", "read", "sample",
+        "slice", "tile", "tileset", "tune", "warp", "write",
     )
 )  # fmt: skip

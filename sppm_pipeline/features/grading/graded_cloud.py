@@ -48,7 +48,9 @@ def scattered_by_maps(context: Context, grading: Grading, wanted: Scattering) ->
     if wanted.periodic:
         raise ConfigError("graded cells do not repeat", hint="leave out `periodic`")
     if wanted.porosity is not None and "porosity" in grading:
-        raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
+        raise ConfigError(
+            "the porosity is given twice, by a map and by the option or a design", hint="leave out one of them"
+        )
     mask, edge, origin = wanted.lattice
     if edge is None:
         edge = trial(context, wanted.recipe, None, 1).physical_edge()

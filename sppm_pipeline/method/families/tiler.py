@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,12 @@ from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.artifact import whole_numbers
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Blocks, Maps, Palette
-from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.nouns.size import Geometry, Size
 from sppm_pipeline.stage import Context, Recipe, Stage
 
 if TYPE_CHECKING:
@@ -81,6 +82,32 @@ def lattice_for(
     shape = (int(count[0]), int(count[1]), int(count[2]))
     mask = cells_touched(cover.vertices, cover.faces, origin, edge, shape, cover.bounds_solid)
     return Lattice(mask, edge, (float(origin[0]), float(origin[1]), float(origin[2])))
+
+
+T = TypeVar("T", bound=Stage)
+
+
+def designed(stage: T, design: CellSizes | Geometry | None) -> T:
+    """The stage with the cell size and the porosity of a design where its options `cell` and `porosity` are omitted.
+
+    Raises
+    ------
+    ConfigError
+        If something is omitted, and the design is one for other rules.
+    """
+    options: Any = stage
+    if design is None or (options.cell is not None and options.porosity is not None):
+        return stage
+    lay = "scattered" if stage.name == "tile.scattered" else "cells"
+    if isinstance(design, CellSizes) and design.lay != lay:
+        raise ConfigError(
+            f"the design before {stage.name} is one for `lay: {design.lay}`, whose struts and pores differ from those "
+            "that are laid here",
+            hint=f"give `design.sizes` the option `lay: {lay}`, or give `cell` and `porosity` here",
+        )
+    edge = None if design.edge_mm is None else Length(design.edge_mm, "mm")
+    porosity = design.porosity if options.porosity is None else options.porosity
+    return replace(options, cell=options.cell or edge, porosity=porosity)  # type: ignore[no-any-return]
 
 
 def tiling_size(
@@ -201,11 +228,15 @@ class Tiler(Stage):
             where no cell touches.
         """
 
-    def estimate(self, palette: Palette, tileset: Size, cover: Size | None) -> Size:
+    def estimate(self, palette: Palette, tileset: Size, cover: Size | None, design: Size | None = None) -> Size:
+        self = designed(self, None if design is None else design.body)
         return measured_tiling(tiling_size(self.cell, self.cells, cover, tileset), self.resolution)
 
-    def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
+    def run(
+        self, context: Context, tileset: TileSet, cover: SurfaceMesh | None, design: CellSizes | None = None
+    ) -> Tiling:
         """Lay the cells."""
+        self = designed(self, design)
         from sppm_pipeline.method.assembly.contents import TilingArrays
         from sppm_pipeline.method.tiling.lattice import with_halo
 

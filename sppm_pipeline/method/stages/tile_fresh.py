@@ -27,12 +27,14 @@ from sppm_pipeline.method.families.tiler import (
     HALO,
     at_porosity,
     check_repeats,
+    designed,
     laid_cells,
     lattice_for,
     measured_voxels,
     tiling_size,
 )
 from sppm_pipeline.method.families.tileset_maker import check_faces
+from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +56,8 @@ class FreshTiling(Stage):
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     limit: int = option(100_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
-    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
+    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, design: Size | None = None) -> Size:
+        self = designed(self, None if design is None else design.body)
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         cells = laid_cells(made, self.periodic)
         recipe(palette, cells)
@@ -65,8 +68,11 @@ class FreshTiling(Stage):
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)
 
-    def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
+    def run(
+        self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, design: CellSizes | None = None
+    ) -> Tiling:
         """Number the cells and faces, then draw them all."""
+        self = designed(self, design)
         from sppm_pipeline.method.tiling.lattice import meetings, tile_fresh, with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)

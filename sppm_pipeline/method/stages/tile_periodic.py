@@ -23,8 +23,16 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.method.assembly.contents import TilingArrays
-from sppm_pipeline.method.families.tiler import HALO, at_porosity, lattice_for, measured_tiling, tiling_size
+from sppm_pipeline.method.families.tiler import (
+    HALO,
+    at_porosity,
+    designed,
+    lattice_for,
+    measured_tiling,
+    tiling_size,
+)
 from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +52,20 @@ class PeriodicTiling(Stage):
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     tile: int = option(0, help="which tile of a tile set is repeated", minimum=0, maximum=511)
 
-    def estimate(self, palette: Palette, source: Size, cover: Size | None) -> Size:
+    def estimate(self, palette: Palette, source: Size, cover: Size | None, design: Size | None = None) -> Size:
+        self = designed(self, None if design is None else design.body)
         made = tiling_size(self.cell, self.cells, cover, source, patches=1.0)
         return made if self.porosity is None else measured_tiling(made, self.resolution)
 
-    def run(self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None) -> Tiling | RepeatedField:
+    def run(
+        self,
+        context: Context,
+        source: TileSet | ScalarField,
+        cover: SurfaceMesh | None,
+        design: CellSizes | None = None,
+    ) -> Tiling | RepeatedField:
         """Lay the cells."""
+        self = designed(self, design)
         if isinstance(source, TileSet):
             if source.kind != "wang":
                 raise ConfigError("only tiles of a `tileset.wang_3color` are periodic cells")
@@ -65,7 +81,7 @@ class PeriodicTiling(Stage):
             if self.porosity is not None:
                 raise ConfigError(
                     f"the porosity of a repeated {type(source).__name__} is that of its cell",
-                    hint="leave out `porosity`, and make the cell by `tune.porosity`",
+                    hint="leave out `porosity` or the design, and make the cell by `tune.porosity`",
                 )
             lattice = lattice_for(self.cell, self.cells, cover, source.edge_mm)
             nx, ny, nz = lattice.mask.shape

@@ -27,6 +27,7 @@ from sppm_pipeline.method.families.tiler import (
     Scattering,
     at_porosity,
     check_repeats,
+    designed,
     laid_cells,
     lattice_for,
     measured_voxels,
@@ -34,6 +35,7 @@ from sppm_pipeline.method.families.tiler import (
     tiling_size,
     without_faces,
 )
+from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.nouns.palette import Blocks, Maps
 
 
@@ -64,7 +66,10 @@ class ScatteredTiling(Stage):
     rounds: int = options.rounds(2, note="in which pores are added and taken away, with maps", minimum=0, maximum=10)
     trials: int = options.trials(3, note="of the curve, with maps")
 
-    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, grading: Size | None) -> Size:
+    def estimate(
+        self, palette: Palette, recipe: RecipeSize, cover: Size | None, grading: Size | None, design: Size | None = None
+    ) -> Size:
+        self = designed(self, None if design is None else design.body)
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         blocks = laid_cells(made, self.periodic)
         trial = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
@@ -81,8 +86,16 @@ class ScatteredTiling(Stage):
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)
 
-    def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Maps | None = None) -> Tiling:
+    def run(
+        self,
+        context: Context,
+        recipe: Recipe,
+        cover: SurfaceMesh | None,
+        grading: Maps | None = None,
+        design: CellSizes | None = None,
+    ) -> Tiling:
         """Throw and join the pores of all blocks of the part, and of those around it."""
+        self = designed(self, design)
         from sppm_pipeline.method.tiling.lattice import with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)

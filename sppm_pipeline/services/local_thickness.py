@@ -59,6 +59,48 @@ def _along_rows(lines: NDArray[np.int32], wraps: bool) -> None:
                 row[i] = best[i]
 
 
+class LimitSizes(NamedTuple):
+    """Volume-weighted distribution of local thickness in the limit of fine grids.
+
+    Attributes
+    ----------
+    mean, deviation : float
+    low, high : float
+        At 5 and 95 % of the volume.
+    thinnest : float
+        At 1 %. The smallest value of all is a corner of the grid, whatever its resolution.
+    """
+
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    thinnest: float
+
+
+def limit_sizes(fine: NDArray[np.float32], coarse: NDArray[np.float32], spacings: tuple[float, float]) -> LimitSizes:
+    """Sizes in the limit of fine grids, from the local thickness on two grids.
+
+    Balls on voxel centers are too small by 0.4 (walls) to 1.1 (struts, pores) voxels on average, a multiple of the
+    spacing. So the line through the means of both grids gives the mean at spacing 0, and the distribution of the fine
+    grid is moved there as a whole.
+
+    Parameters
+    ----------
+    fine, coarse : array
+        Local thickness in voxels, 0 outside the phase, which both hold. Several cells may be joined.
+    spacings : (fine, coarse)
+        Edges of their voxels, the fine one smaller; the result has their unit.
+    """
+    small, large = spacings
+    sizes = np.sort(fine[fine > 0].astype(np.float64)) * small
+    mean = float(sizes.mean())
+    shift = (mean - float(coarse[coarse > 0].mean(dtype=np.float64)) * large) * small / (large - small)
+    low, high, thinnest = (float(sizes[min(len(sizes) - 1, int(q * len(sizes)))] + shift) for q in (0.05, 0.95, 0.01))
+    # struts of one or two voxels may be extrapolated to nothing
+    return LimitSizes(mean + shift, float(sizes.std()), max(low, 0.0), high, max(thinnest, 0.0))
+
+
 class SizeDistribution(NamedTuple):
     """Volume-weighted distribution of local thickness."""
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from sppm_pipeline.features.printing.numerics.local_thickness import (
+from sppm_pipeline.services.local_thickness import (
     UNREACHED,
     local_thickness,
     size_distribution,

@@ -1,0 +1,190 @@
+"""``design.sizes``: the cell size and the porosity that give struts and pores of sizes in millimeters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Length,
+    Microstructure,
+    Palette,
+    Recipe,
+    RecipeSize,
+    ScalarField,
+    Size,
+    Stage,
+    option,
+    options,
+)
+from sppm_pipeline.method.families.tiler import without_faces
+from sppm_pipeline.method.nouns.cell_sizes import CellSizes
+from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.grid import cell_centers
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.design.numerics.sizes import Draws
+
+MIN_VOXELS_ACROSS = 5
+"""Voxels that a mean size should measure: below, the extrapolation from two grids was off by 5 % for walls."""
+
+SIZES_OF_CELL = 1.8
+"""Strut and pore together over the mean distance of pores, by which estimates know the cell: that of the preset `paper`
+from porosity 0.4 to 0.8 within 15 %; walls have half of it. Only estimates depend on it."""
+
+INSIDE = 0.01
+"""Relative distance from the end of the reachable range of the ratio that errors name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignSizes(Stage):
+    """Find the cell size and the porosity of a recipe at which struts and pores have the sizes asked for.
+
+    Sizes are mean local thicknesses (Hildebrand and Rüegsegger 1997), as `check.sizes` reports them, in the limit of
+    fine grids. Their ratio has no scale: it falls as the porosity rises, whatever the cell measures. So the porosity is
+    bisected on coarse grids of a few draws of the cell, always the same ones, and corrected on fine grids; then the
+    cell size follows by similarity. The level of the recipe's field is changed, not its pores and tunnels.
+
+    The `tile` stages after it take the cell size and the porosity where their options `cell` and `porosity` are
+    omitted. The sizes then hold in the mean over a part: single cells scatter by some per cent. Scattered pores are
+    joined across cells, which makes other struts than in cells with faces, so that `lay` says which; a rule that lays
+    otherwise refuses the design. Ratios at which the solid or the void comes apart are refused, with the nearest one
+    that can be had.
+    """
+
+    name: ClassVar[str] = "design.sizes"
+    advice: ClassVar[str] = "lower `resolution` or `draws`"
+
+    pore: Length = option(help="mean size of the pores", unit="mm", minimum=1e-4, maximum=1e4)
+    strut: Length | None = option(None, help="mean size of the struts", unit="mm", minimum=1e-4, maximum=1e4)
+    wall: Length | None = option(
+        None, help="mean thickness of the walls, for recipes such as `stiff` that make walls instead of struts",
+        unit="mm", minimum=1e-4, maximum=1e4,
+    )  # fmt: skip
+    lay: str = option(
+        "scattered", help="how cells will be laid: by tile.scattered, or as cells with faces by another tile rule",
+        choices=("scattered", "cells"),
+    )  # fmt: skip
+    draws: int = options.draws(3, note="over which sizes are averaged", maximum=50)
+    resolution: int = options.resolution(56, note="of the finer grid", minimum=32, maximum=256)
+
+    @property
+    def rated_as(self) -> str:
+        """Its work is that of `check.sizes`: balls painted into both phases."""
+        return "check.sizes"
+
+    def check_options(self) -> None:
+        """One of `strut` and `wall`, and lengths in mm."""
+        if (self.strut is None) == (self.wall is None):
+            raise ConfigError(
+                "the size of the solid is either `strut` or `wall`; "
+                f"{'neither is' if self.strut is None else 'both are'} given",
+                hint="give one of them, for example `strut: 0.4 mm`",
+            )
+
+    @property
+    def solid(self) -> Length:
+        """The size asked for of struts or walls."""
+        size = self.strut if self.strut is not None else self.wall
+        assert size is not None  # `check_options`
+        return size
+
+    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
+        made = recipe(palette, self.draws)
+        grid = made.grid(self.resolution)
+        strut, pore = self.solid.mm(), self.pore.mm()
+        # r = 0.95 ((1 - porosity) / porosity)^0.55 fits the preset `paper` within 10 %
+        porosity = 1 / (1 + (strut / pore / 0.95) ** (1 / 0.55))
+        edge = (strut + pore) * made.cell.pores ** (1 / 3) / SIZES_OF_CELL
+        cell = made.in_box((1.0, 1.0, 1.0), edge_mm=edge).at_porosity(porosity)
+        # two evaluations, each with both phases, whose balls grow with the resolution
+        voxels = 2.0 * self.draws * self.resolution**4
+        return Size(
+            samples=self.draws * grid.samples, sums=self.draws * grid.sums, resident=self.draws * grid.samples,
+            voxels=voxels, design=cell.design, geometry=cell.geometry,
+        )  # fmt: skip
+
+    def run(self, context: Context, recipe: Recipe) -> CellSizes:
+        """Draw the cells, find the porosity, scale."""
+        from sppm_pipeline.features.design.numerics.sizes import Draws
+
+        strut, pore = self.solid.mm(), self.pore.mm()
+        fields = [self._drawn(context, recipe, draw) for draw in range(self.draws)]
+        n = self.resolution
+        cells = Draws(*([_sampled(context, one, edge) for one in fields] for edge in (n, n // 2)))
+        porosity = cells.porosity_for(strut / pore)
+        if porosity is None or not cells.connected(porosity):
+            raise self._unreachable(context, recipe, cells)
+        found = cells.sizes(porosity)
+        solid, void = found.solid, found.void
+        thinner = min(solid.mean, void.mean)
+        if thinner * n < MIN_VOXELS_ACROSS:
+            context.warn(
+                f"the {'solid' if solid.mean == thinner else 'void'} measures {thinner * n:.2g} voxels in the mean, "
+                f"too few for sizes within 5 %: give `resolution: {math.ceil(MIN_VOXELS_ACROSS / thinner) + 1}`"
+            )
+        # what is left of the ratio's error is shared by both sizes
+        edge = math.sqrt(strut * pore / (solid.mean * void.mean))
+        return CellSizes(
+            edge_mm=edge, porosity=porosity, draws=self.draws, strut_asked=strut, pore_asked=pore,
+            strut=edge * solid.mean, strut_deviation=edge * solid.deviation, strut_low=edge * solid.low,
+            strut_high=edge * solid.high, strut_thinnest=edge * solid.thinnest,
+            pore=edge * void.mean, pore_deviation=edge * void.deviation, pore_low=edge * void.low,
+            pore_high=edge * void.high, pore_thinnest=edge * void.thinnest, lay=self.lay,
+        )  # fmt: skip
+
+    def _drawn(self, context: Context, recipe: Recipe, draw: int) -> ScalarField:
+        palette = context.palette
+        if self.lay == "scattered":  # one block that meets itself has the sizes of a large box, measured on 2^3 blocks
+            blocks = Blocks(np.ones((1, 1, 1), bool), True)
+            palette = Palette(1, (0, 0, 0), blocks=blocks)
+        made = recipe.run(context, palette=palette, attempt=draw)
+        if self.lay == "scattered":
+            if not isinstance(made, Microstructure):
+                raise ConfigError(
+                    f"the recipe {recipe.name!r} makes a {type(made).__name__}; scattered cells need a Microstructure",
+                    hint="give `lay: cells`, or end the recipe with `field.gaussian`",
+                )
+            made = without_faces(made, blocks, 0, None, (0.0, 0.0, 0.0))
+        if not isinstance(made, ScalarField) or not made.periodic:
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(made).__name__}"
+                + (" that does not repeat" if isinstance(made, ScalarField) else "")
+                + "; sizes are those of a periodic cell",
+                hint="end the recipe with a stage such as `field.gaussian`",
+            )
+        context.progress(draw + 1, self.draws, "cells drawn")
+        return made
+
+    def _unreachable(self, context: Context, recipe: Recipe, cells: Draws) -> DesignError:
+        """The error that names the nearest ratio."""
+        strut, pore, word = self.solid.mm(), self.pore.mm(), "strut" if self.strut is not None else "wall"
+        ratio = strut / pore
+        ends = cells.reachable(lambda done, all_: context.progress(done, all_, "ends of the range"))
+        if ends is None:
+            return DesignError(
+                f"no porosity of the recipe {recipe.name!r} gives a cell whose solid and void both run through",
+                hint="join the pores by more or wider tunnels",
+            )
+        low, high = ends[0] * (1 + INSIDE), ends[1] * (1 - INSIDE)
+        nearest = min(max(ratio, low), high)
+        if nearest == ratio:  # inside of the range, but a draw is in pieces there, or the ratio jumps
+            nearest = low if ratio - low < high - ratio else high
+        return DesignError(
+            f"{word} over pore {ratio:.3g} is out of reach of the recipe {recipe.name!r}: its solid and void both run "
+            f"through from {low:.3g} to {high:.3g}",
+            hint=f"nearest are `{word}: {nearest * pore:.3g} mm` with this pore, and `pore: {strut / nearest:.3g} mm` "
+            f"with this {word}; another recipe has other limits",
+        )
+
+
+def _sampled(context: Context, field: ScalarField, edge: int) -> NDArray[np.float32]:
+    values: NDArray[np.float32] = field.sample(cell_centers(edge, field.cells), context.threads)
+    return np.ascontiguousarray(values.T)
