@@ -81,6 +81,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
         ["  - {stage: check.porosity, resolution: 4}"]),
     "field.walls": (AS_CELL[:3], "thickness: 0.05, tunnel_radius: 0.04", CHECKED),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
+    "design.sizes": ([], "recipe: cell, pore: 0.6 mm, strut: 0.4 mm, draws: 1, resolution: 32", []),
     "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, trials: 1, evaluations: 4", []),
     "tune.stiffness": (
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",

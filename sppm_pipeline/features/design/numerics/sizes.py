@@ -60,7 +60,7 @@ class Draws:
     known: dict[float, PhaseSizes] = field(default_factory=dict)
 
     def coarse_ratio(self, porosity: float) -> float:
-        """Ratio of solid to void on the coarse grid, within some per cent, but quick: balls are a voxel too small."""
+        """Ratio of solid to void on the coarse grid, within some percent, but quick: balls are a voxel too small."""
         solid, void = (_thickness(phases) for phases in _phases(self.coarse, porosity))
         return float((solid[solid > 0].mean(dtype=np.float64) + 1) / (void[void > 0].mean(dtype=np.float64) + 1))
 
@@ -126,8 +126,8 @@ class Draws:
     def reachable(self, progress: Callable[[int, int], None]) -> tuple[float, float] | None:
         """Lowest and highest ratio of cells that are connected; None if no cell is.
 
-        The ratio falls with the porosity, and cells come apart at both ends. The range is followed outwards from the
-        middle: beyond its ends single porosities may be connected by chance.
+        The ratio falls with the porosity, and cells break into pieces at both ends. The range is followed outwards from
+        the middle: beyond its ends single porosities may be connected by chance.
         """
         steps = np.arange(POROSITIES[0] + SCAN, POROSITIES[1] - SCAN / 2, SCAN)
         outwards = np.argsort(np.abs(steps - 0.5), kind="stable")

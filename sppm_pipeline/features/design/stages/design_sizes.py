@@ -53,10 +53,10 @@ class DesignSizes(Stage):
     cell size follows by similarity. The level of the recipe's field is changed, not its pores and tunnels.
 
     The `tile` stages after it take the cell size and the porosity where their options `cell` and `porosity` are
-    omitted. The sizes then hold in the mean over a part: single cells scatter by some per cent. Scattered pores are
+    omitted. The sizes then hold in the mean over a part: single cells scatter by some percent. Scattered pores are
     joined across cells, which makes other struts than in cells with faces, so that `lay` says which; a rule that lays
-    otherwise refuses the design. Ratios at which the solid or the void comes apart are refused, with the nearest one
-    that can be had.
+    otherwise refuses the design. Ratios at which the solid or the void breaks into pieces are refused, with the nearest
+    one that can be had.
     """
 
     name: ClassVar[str] = "design.sizes"
