@@ -118,7 +118,8 @@ class DesignSizes(Stage):
         strut, pore = self.solid.mm(), self.pore.mm()
         fields = [self._drawn(context, recipe, draw) for draw in range(self.draws)]
         n = self.resolution
-        cells = Draws(*([_sampled(context, one, edge) for one in fields] for edge in (n, n // 2)))
+        fine, coarse = ([_sampled(context, one, edge) for one in fields] for edge in (n, n // 2))
+        cells = Draws(fine, coarse)
         porosity = cells.porosity_for(strut / pore)
         if porosity is None or not cells.connected(porosity):
             raise self._unreachable(context, recipe, cells)
