@@ -30,8 +30,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.method.kernels.profiles import omega_from_radius as omega_from_radius
     from sppm_pipeline.method.porosity.fractions import solid_fractions as solid_fractions
     from sppm_pipeline.method.sampling.capacity import largest_spacing as largest_spacing
+    from sppm_pipeline.method.sampling.capacity import min_spacing as _smallest_spacing
     from sppm_pipeline.method.sampling.darts import throw as _throw_darts
-    from sppm_pipeline.method.sampling.spacing import min_spacing as _smallest_spacing
     from sppm_pipeline.method.tiling.corners import tile_corners as tile_corners
     from sppm_pipeline.method.tiling.hashed import tile_hashed as tile_hashed
     from sppm_pipeline.method.tiling.lattice import hash_places as hash_places
@@ -104,9 +104,8 @@ _PLACES = {
     "method.kernels.kernels": "Kernels",
     "method.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
     "method.porosity.fractions": "solid_fractions",
-    "method.sampling.capacity": "largest_spacing",
+    "method.sampling.capacity": "largest_spacing smallest_spacing=min_spacing",
     "method.sampling.darts": "throw_darts=throw",
-    "method.sampling.spacing": "smallest_spacing=min_spacing",
     "method.tiling.corners": "tile_corners",
     "method.tiling.hashed": "tile_hashed",
     "method.tiling.lattice": "hash_places",

@@ -65,6 +65,9 @@ def configure(parser: ArgumentParser) -> None:
     )
     failing.add_argument("--ignore-failed", action="store_true", help="exit with 0 though runs of a sweep failed")
     add_cache(parser)
+    parser.add_argument(
+        "--audit", choices=("fail", "warn"), help="what a contradiction of results does; as in the file"
+    )
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
     parser.add_argument(
         "-q",
@@ -182,7 +185,11 @@ def _execute(args: Namespace) -> int:
     else:
         _print_summary(record, path, {step.address: headlines_of(step) for step in (*plan.steps, *plan.after)})
     failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
-    if plan.configuration.audit == "fail" and not failed and (breach := breach_error(record)) is not None:
+    if (
+        (args.audit or plan.configuration.audit) == "fail"
+        and not failed
+        and (breach := breach_error(record)) is not None
+    ):
         raise breach
     if failed and not args.ignore_failed:
         codes = {run["error"]["exit_code"] for run in failed}

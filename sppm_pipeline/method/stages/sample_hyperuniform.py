@@ -69,7 +69,7 @@ class Hyperuniform(Sampler):
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Move the pores of all interiors; report the waves that were silenced and the smallest distance."""
-        from sppm_pipeline.method.sampling.spacing import min_spacing
+        from sppm_pipeline.method.sampling.capacity import min_spacing
         from sppm_pipeline.method.sampling.structure_factor import structure_factor
 
         thrown = super().run(context, pores)

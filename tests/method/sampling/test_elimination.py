@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.method.sampling.capacity import min_spacing
 from sppm_pipeline.method.sampling.elimination import eliminate, elimination_order
-from sppm_pipeline.method.sampling.spacing import min_spacing
 
 
 def slow_weights(points: np.ndarray, periodic: bool, ideal: float, nearest: float) -> np.ndarray:

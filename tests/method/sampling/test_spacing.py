@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.method.sampling.spacing import min_spacing, nearest_distances
+from sppm_pipeline.method.sampling.capacity import min_spacing, nearest_distances
 
 
 def slow_nearest(points: np.ndarray, periodic: tuple[bool, ...]) -> np.ndarray:

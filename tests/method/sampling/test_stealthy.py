@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.sampling.spacing import min_spacing
+from sppm_pipeline.method.sampling.capacity import min_spacing
 from sppm_pipeline.method.sampling.stealthy import FREE, TOLERANCE, _Landscape, stealthy_waves, throw_stealthy
 from sppm_pipeline.method.sampling.structure_factor import longest_waves, structure_factor
 

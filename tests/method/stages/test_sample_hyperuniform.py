@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.nouns.pores import PoreSet
-from sppm_pipeline.method.sampling.capacity import box_capacity
-from sppm_pipeline.method.sampling.spacing import min_spacing
+from sppm_pipeline.method.sampling.capacity import box_capacity, min_spacing
 from sppm_pipeline.method.sampling.stealthy import stealthy_waves
 from sppm_pipeline.method.sampling.structure_factor import structure_factor
 from sppm_pipeline.method.stages.sample_hyperuniform import BETWEEN_FACES, PERIODIC, Hyperuniform
