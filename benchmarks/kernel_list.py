@@ -26,7 +26,7 @@ CONFIGS = Path(__file__).parent.parent / "configs"
 SMALL: dict[str, tuple[list[str], list[str]]] = {
     "quickstart": (
         ["cell=8 mm"],
-        ["tile.scattered.resolution=16", "slice.field.pixel=0.5 mm", "part_picture.resolution=8",
+        ["tile.scattered.resolution=16", "slice.field.pixel=0.5 mm", "fill.implicit.islands=remove", "part_picture.resolution=8",
          "part_picture.image_size=[200, 150]", "extract.marching_cubes.resolution=12"],
     ),
     "cell": (
@@ -37,7 +37,7 @@ SMALL: dict[str, tuple[list[str], list[str]]] = {
     "wang_part": (
         ["cell=8 mm"],
         ["tileset.wang_3color.colors=2", "tileset.wang_3color.resolution=16", "tileset.wang_3color.tolerance=0.02",
-         "tiles_picture.resolution=8", "slice.field.pixel=0.5 mm", "part_picture.resolution=8",
+         "tiles_picture.resolution=8", "slice.field.pixel=0.5 mm", "fill.implicit.islands=remove", "part_picture.resolution=8",
          "part_picture.image_size=[200, 150]", "extract.marching_cubes.resolution=12", "connect.mbdst.mode=greedy"],
     ),
     "table_mesh_free": (

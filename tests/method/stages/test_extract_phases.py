@@ -90,7 +90,7 @@ def test_thin_shells_empty_phases_and_parts(ball, wang_tiling):
     labeled(Ball(0.4), Ball(0.3), context=context, coating=Length(0.05))
     assert any("`resolution: 35`" in text for text in context.warnings)
     assert "no voxel is left for solid 2" in context.warnings
-    with pytest.raises(DesignError, match="no physical size"):
+    with pytest.raises(ConfigError, match="no physical size"):
         labeled(Ball(0.4, edge_mm=None), coating=Length(0.3, "mm"))
     with pytest.raises(DesignError, match="beyond its surface"):
         labeled(Part(wang_tiling, ball), filling=True)

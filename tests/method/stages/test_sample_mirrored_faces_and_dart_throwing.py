@@ -181,7 +181,7 @@ def test_lengths_follow_the_edge():
         return both(face=face, interior={"count": 14, "gap": Length(0.2 * factor, unit)})
 
     plain = drawn(None, None, 1)
-    assert np.allclose(drawn(Length(2), None, 2).centers, plain.centers, atol=1e-12)
+    assert np.allclose(drawn(Length(2), "cell", 1).centers, plain.centers, atol=1e-12)
     physical = drawn(Length(7.5, "mm"), "mm", 7.5)
     assert np.allclose(physical.centers, plain.centers, atol=1e-12)
     assert (physical.cell.edge, physical.cell.physical) == (7.5, True)

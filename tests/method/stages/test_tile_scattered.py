@@ -353,7 +353,7 @@ def test_what_can_not_be_scattered_is_refused():
     palette = Palette(8, (0, 0, 0), blocks=Blocks(np.ones((2, 2, 2), bool), True))
     _, base = start_of(None, None, 8)
     one_each = base.extended(np.full((8, 3), 0.5), np.arange(8, dtype=np.int32))  # by a stage that ignores the blocks
-    with pytest.raises(ConfigError, match="know nothing of their neighbors"):
+    with pytest.raises(ConfigError, match="without regard to their neighbors"):
         TREE.run(PlainContext(palette=palette), one_each)
 
 

@@ -99,7 +99,7 @@ def test_a_gap_that_is_missed_does_not_ask_for_what_is_on():
 
 def test_radii_that_the_level_has_changed_are_told():
     """The tunnels shrink to half of what was asked for: that is reported, and warned about."""
-    recipe = of_the_paper(90, pore_radius=Length(0.22), tunnel_radius=Length(0.1))
+    recipe = of_the_paper(90, pore_radius=Length(0.11, "cell"), tunnel_radius=Length(0.05, "cell"))
     context = PlainContext(2)
     micro = TunePorosity(target=0.5, resolution=32, tolerance=0.003).run(context, recipe)
     kernels, found = micro.pieces.kernels, context.reported
@@ -134,12 +134,13 @@ def test_a_held_radius_stays_and_the_other_one_meets_the_target(held, moved):
 @pytest.mark.parametrize("options", [{"hold": "tunnel_radius"}, {"tolerance": 1e-7}])
 def test_tunnels_that_leave_too_little_solid_are_told_their_largest_radius(options):
     """However fine the grid, tunnels alone make more void than is asked for."""
-    recipe = of_the_paper(90, pore_radius=Length(0.1), tunnel_radius=Length(0.2))
+    recipe = of_the_paper(90, pore_radius=Length(0.05, "cell"), tunnel_radius=Length(0.1, "cell"))
     with pytest.raises(DesignError, match=r"tunnels of a radius of 0\.1 cell sizes alone") as error:
         TunePorosity(target=0.3, resolution=24, **options).run(PlainContext(2), recipe)
     radius = float(error.value.hint.split("below ")[1].split()[0])
     alone = with_radii(
-        of_the_paper(90, pore_radius=Length(0.1), tunnel_radius=Length(2 * radius)).run(PlainContext(2)), 1e-3
+        of_the_paper(90, pore_radius=Length(0.05, "cell"), tunnel_radius=Length(radius, "cell")).run(PlainContext(2)),
+        1e-3,
     )
     assert porosity(alone) == pytest.approx(0.3, abs=0.01)
 
