@@ -26,8 +26,8 @@ CONFIGS = Path(__file__).parent.parent / "configs"
 SMALL: dict[str, tuple[list[str], list[str]]] = {
     "quickstart": (
         ["cell=8 mm"],
-        ["tile.scattered.resolution=16", "slice.field.pixel=0.5 mm", "fill.implicit.islands=remove", "part_picture.resolution=8",
-         "part_picture.image_size=[200, 150]", "extract.marching_cubes.resolution=12"],
+        ["tile.scattered.resolution=16", "slice.field.pixel=0.5 mm", "fill.implicit.islands=remove",
+         "part_picture.resolution=8", "part_picture.image_size=[200, 150]", "extract.marching_cubes.resolution=12"],
     ),
     "cell": (
         ["pores=40"],
@@ -37,8 +37,9 @@ SMALL: dict[str, tuple[list[str], list[str]]] = {
     "wang_part": (
         ["cell=8 mm"],
         ["tileset.wang_3color.colors=2", "tileset.wang_3color.resolution=16", "tileset.wang_3color.tolerance=0.02",
-         "tiles_picture.resolution=8", "slice.field.pixel=0.5 mm", "fill.implicit.islands=remove", "part_picture.resolution=8",
-         "part_picture.image_size=[200, 150]", "extract.marching_cubes.resolution=12", "connect.mbdst.mode=greedy"],
+         "tiles_picture.resolution=8", "slice.field.pixel=0.5 mm", "fill.implicit.islands=remove",
+         "part_picture.resolution=8", "part_picture.image_size=[200, 150]", "extract.marching_cubes.resolution=12",
+         "connect.mbdst.mode=greedy"],
     ),
     "table_mesh_free": (
         ["cells=[3, 2, 2]"],
