@@ -92,7 +92,7 @@ IMPORTS = {
     "missing": ("import no_such_module_anywhere", "the module 'no_such_module_anywhere' is not installed"),
     "exit": ("import sys; sys.exit(0)", "tried to end the program (SystemExit: 0)"),
     "exit with text": ("raise SystemExit('bye')", "tried to end the program (SystemExit: 'bye')"),
-    "interrupt": ("raise KeyboardInterrupt", "raised KeyboardInterrupt, though nobody interrupted it"),
+    "interrupt": ("raise KeyboardInterrupt", "raised KeyboardInterrupt, though there was no interrupt"),
     "odd exception": ("class Odd(BaseException): pass\nraise Odd('x')", "raised Odd: x"),
     "recursion": ("def f(): f()\nf()", "RecursionError"),
     "memory": ("raise MemoryError", "MemoryError"),
@@ -202,7 +202,7 @@ def test_a_stage_that_breaks_the_contract_disturbs_only_those_who_use_it(here, i
 RUNS = {
     "raises": ("raise KeyError('x')", "raised KeyError: 'x'"),
     "exits": ("sys.exit(0)", "tried to end the program (SystemExit: 0)"),
-    "interrupts": ("raise KeyboardInterrupt", "raised KeyboardInterrupt, though nobody interrupted it"),
+    "interrupts": ("raise KeyboardInterrupt", "raised KeyboardInterrupt, though there was no interrupt"),
     "another type": ("return 3", "made int, but announces PoreSet"),
     "nothing": ("return None", "made NoneType, but announces PoreSet"),
     "not a number": ("points[1, 2] = np.nan", "must be finite"),

@@ -67,6 +67,7 @@ def test_the_text_on_the_page_makes_the_same_kernels(started):
     assert started.cell({}, "field.gaussian")[0]["digest"] != said["digest"]
 
 
+@pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
 def test_a_tuned_recipe_makes_the_same_kernels():
     made = design(RECIPE)
     assert made.targets[0].name == "tune.porosity"
