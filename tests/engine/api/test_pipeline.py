@@ -9,6 +9,8 @@ import pytest
 import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.main import main
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
+
 YAML = """\
 sppm: 1
 name: small
