@@ -88,7 +88,9 @@ def test_a_part_is_closed_and_lies_in_its_domain(wang_tiling, ball, skin):
     part = Part(wang_tiling, ball, skin)
     made, found, _ = mesh(part, resolution=20, islands="keep")
     assert found.edges.closed
-    assert np.linalg.norm(made.vertices - 5, axis=1).max() < 5.001
+    outside = np.linalg.norm(made.vertices - 5, axis=1) - 5
+    assert outside.max() < 0.02 * 0.2  # of the pitch: at the rims of pores a crossing is interpolated across a crease
+    assert (outside > 1e-4).mean() < 1e-4
     h = 4 / 24
     voxels = part.solid(cell_centers(24, wang_tiling.cells)).sum() * h**3
     assert found.volume == pytest.approx(voxels, rel=0.05)
