@@ -49,6 +49,7 @@ def test_own_suite_passes(folder: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
+        timeout=500,
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
