@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -24,6 +26,8 @@ from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError
+
+os.environ["SPPM_TRUST"] = tempfile.gettempdir()  # where the stages below are written
 
 STAGE = '''
 import os, signal, time
@@ -51,6 +55,7 @@ class Trouble(Stage):
             time.sleep(0.02)
         if Path(__file__).with_name(f"stops-{self.row}").exists():
             os.kill(os.getpid(), signal.SIGSTOP)
+            time.sleep(2)  # another thread may be the one that takes the signal, some time later
 '''
 
 SWEEP = """sppm: 1
@@ -95,7 +100,7 @@ pipeline:
   - {stage: connect.mst}
   - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.04}
   - {stage: tile.periodic, cells: [2, 2, 2], cell: 2 mm}
-  - {stage: slice.field, pixel: 0.1 mm}
+  - {stage: slice.field, pixel: 0.1 mm, islands: remove}
   - {stage: write.raw}
 """
 
@@ -217,7 +222,7 @@ def test_a_scheduler_that_is_gone_prints_no_traceback(tmp_path):
         while not ready.exists():
             time.sleep(0.05)
         work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(ready), "--nthreads", "1"]
-        with subprocess.Popen([*work, "--local-directory", str(tmp_path), "--death-timeout", "5"], **quiet) as worker:
+        with subprocess.Popen([*work, "--local-directory", str(tmp_path), "--death-timeout", "60"], **quiet) as worker:
             command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-o", str(tmp_path / "out")]
             command += ["--executor", f"dask:{ready}", "--no-cache"]
             with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
