@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import faulthandler
 import functools
 import os
 import shutil
@@ -74,18 +73,6 @@ for _ in range(50):
     time.sleep(0.1)
 """
 """Ends what tests have started once the tests have ended, even if somebody killed them, in whatever process group."""
-
-
-MAX_SECONDS = 600
-"""A test that hangs ends its process after this time, with the places where its threads are, so that the others go on.
-The slowest take a minute, or two where other work slows them down."""
-
-
-@pytest.fixture(autouse=True)
-def _no_test_hangs():
-    faulthandler.dump_traceback_later(MAX_SECONDS, exit=True, file=sys.__stderr__)
-    yield
-    faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,6 +9,7 @@ import pytest
 
 YAML = """sppm: 1
 name: all
+audit: warn
 seed: 11
 recipes:
   cell:
@@ -90,6 +91,7 @@ def test_another_seed_makes_another_part(run_yaml):
 
 SMALL = """sppm: 1
 name: small
+audit: warn
 seed: 3
 params: {porosity: 0.6}
 recipes:

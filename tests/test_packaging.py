@@ -59,7 +59,7 @@ def test_the_wheel_runs_the_quickstart_from_another_folder(environment, tmp_path
     found = run(
         environment, tmp_path, "run", "quickstart", "-q", "--until", "write.png", "--report",
         "-s", "read.primitive.size=[8 mm, 8 mm, 8 mm]", "-s", "slice.field.pixel=0.2 mm",
-        "-s", "tile.scattered.resolution=16",
+        "-s", "tile.scattered.resolution=16", "-s", "fill.implicit.islands=remove", "--audit", "warn",
     )  # fmt: skip
     assert found.returncode == 0, found.stderr
     record = json.loads((tmp_path / "runs" / "quickstart" / "run.json").read_text())

@@ -65,6 +65,7 @@ def test_what_is_wrong_is_said_once_with_what_was_meant() -> None:
     assert "`sppm stages` lists presets" in str(error.value.hint)
 
 
+@pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_the_presets_serve_cells_tile_sets_and_scattered_cells(name: str) -> None:
     small: dict[str, object] = {"preset": name, "total": 40}

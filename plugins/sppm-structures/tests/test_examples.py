@@ -19,11 +19,13 @@ def test_every_stage_has_an_example():
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_run(path, tmp_path):
-    coarse = ["-p", "resolution=24", "-s", "slice.field.pixel=0.8 mm"]
-    if "tune.porosity" in path.read_text(encoding="utf-8"):
+    coarse = ["-p", "resolution=32", "-s", "slice.field.pixel=0.8 mm"]
+    text = path.read_text(encoding="utf-8")
+    coarse += ["-s", f"{'fill.implicit' if 'fill.implicit' in text else 'slice.field'}.islands=keep"]
+    if "tune.porosity" in text:
         coarse += ["-s", "tune.porosity.tolerance=0.01"]
     folder = tmp_path / "run"
-    assert main(["run", str(path), "-o", str(folder), "-q", *coarse]) == 0
+    assert main(["run", str(path), "-o", str(folder), "-q", "--audit", "warn", *coarse]) == 0
     record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert record["status"] == "done"
     layers = sorted((folder / "slices").glob("*.png"))

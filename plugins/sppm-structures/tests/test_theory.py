@@ -97,15 +97,20 @@ def test_the_slender_kelvin_frame_bends():
     assert 2 * c[3, 3] / (c[0, 0] - c[0, 1]) == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize(("lattice", "excess"), [("simple_cubic", 0.06), ("octet", 0.18)])
-def test_voxels_tend_to_the_frame_from_above(lattice, excess):
+@pytest.mark.parametrize(
+    ("lattice", "radii", "n", "excess"),
+    [("simple_cubic", (0.05, 0.07), 96, 0.07), ("octet", (0.035, 0.05, 0.07), 64, 0.1)],
+)
+def test_voxels_tend_to_the_frame_from_above(lattice, radii, n, excess):
     """Joints have a size and stiffen; their share falls with the radius."""
     over = []
-    for radius in (0.035, 0.05):
+    for (
+        radius
+    ) in radii:  # from 4.5 voxels across, along the grid from 9.6: fewer represent the section of a strut badly
         field = Struts(lattice=lattice, radius=Length(radius), blend=Length(0.0)).run(PlainContext())
-        over.append(young(voxels(field, 48)[0]) / young(frame(lattice, radius)[0]) - 1)
-    assert 0 < over[0] < over[1]
-    assert over[0] < excess
+        over.append(young(voxels(field, n)[0]) / young(frame(lattice, radius)[0]) - 1)
+    assert over == sorted(over)
+    assert 0 < over[0] < excess
 
 
 def test_thin_walls_on_minimal_surfaces_reach_the_bulk_modulus_of_membranes():

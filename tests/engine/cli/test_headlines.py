@@ -41,7 +41,7 @@ pipeline:
   - {stage: write.png, path: slices, sheet: 0}
 """
     )
-    assert main(["run", str(tmp_path / "cube.yaml"), "-q", "--no-cache", "-o", str(tmp_path / "run")]) == 0
+    assert main(["run", str(tmp_path / "cube.yaml"), "--no-cache", "-o", str(tmp_path / "run")]) == 0
     assert "layers 4, solid volume 32 mm^3, bytes" in capsys.readouterr().out
 
 
@@ -57,7 +57,7 @@ pipeline:
   - {stage: homogenize.voxel, resolution: 12, grids: 2, young: 1000, stress_unit: MPa, solver_tolerance: 0.01}
 """
     )
-    assert main(["run", str(tmp_path / "cell.yaml"), "-q", "--no-cache", "-o", str(tmp_path / "run")]) == 0
+    assert main(["run", str(tmp_path / "cell.yaml"), "--no-cache", "-o", str(tmp_path / "run")]) == 0
     words = " ".join(capsys.readouterr().out.split())
     for name in ("E", "G", "C11", "C12", "C44"):
         after = words.partition(f" {name} ")[2].partition(",")[0]

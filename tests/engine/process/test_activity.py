@@ -59,7 +59,7 @@ def test_of_two_limits_the_one_that_is_up_is_told(monkeypatch):
 def test_of_too_long_a_text_the_end_is_cut(shared):
     with doing(Activity("ü" * 5000, True, "a.yaml:3:1", "cut")):
         now = activity.current()
-    assert now[1:] == (True, "a.yaml:3:1", "cut")
+    assert now[1:] == (True, "a.yaml:3:1", "cut", "stage")
     assert now.what.startswith("ü" * 2000)
 
 

@@ -83,7 +83,7 @@ def test_volumes_are_indexed_x_y_z_whatever_their_order_in_memory():
         layers = field.sample_zyx(grid, 1, 4)
         assert layers.flags.c_contiguous
         assert np.array_equal(layers, values.T[1:4])
-    image = Voxels.from_array(solid)
+    image = Voxels.from_array(solid, periodic=True)
     assert np.array_equal(HomogenizeVoxel().cell_of(PlainContext(), image).phase, solid)
     cell = HomogenizeVoxel(resolution=4, fractions="binary").cell_of(PlainContext(), Tilted())
     assert np.array_equal(cell.phase, Tilted().solid(4))
