@@ -9,6 +9,11 @@ from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError
 
+pytestmark = [  # of these no test is about
+    pytest.mark.filterwarnings("ignore:.*changes the radii"),
+    pytest.mark.filterwarnings("ignore:.*the error bar is"),
+]
+
 CELL = {"pore_radius": 0.14, "tunnel_radius": 0.05}
 
 
