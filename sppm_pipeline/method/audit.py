@@ -61,7 +61,8 @@ def comparisons(record: Mapping[str, Any]) -> Iterator[Comparison]:
                 name = f"volume of the layers ({stack.stage['id']}) and of the mesh ({mesh.stage['id']})"
                 yield Comparison(name, stack.volume, mesh.volume, VOLUME * abs(mesh.volume), "mm3")
     for made in (*layers, *meshes):
-        if (share := _number(made.stage["summary"], "removed_share")) is not None:
+        share = _number(made.stage["summary"], "removed_share")
+        if share is not None and not _asks_for_removal(made, stages):
             yield Comparison(f"solid removed as islands ({made.stage['id']})", share, 0.0, ISLANDS)
     for stack in layers:
         if (porosities := _porosities(stack, stages)) is not None:
@@ -91,6 +92,12 @@ def _body(stage: Stage, stages: Mapping[str, Stage]) -> str:
     while source in stages and str(stages[source]["stage"]).startswith("check."):
         source = _input(stages[source], "field")
     return source
+
+
+def _asks_for_removal(made: _Made, stages: Mapping[str, Stage]) -> bool:
+    """True if the user wrote `islands: remove`: then what is removed is no surprise."""
+    sources = (made.stage, stages.get(_input(made.stage, "stack")), stages.get(made.body))
+    return any(stage is not None and stage.get("options", {}).get("islands") == "remove" for stage in sources)
 
 
 def _porosities(stack: _Made, stages: Mapping[str, Stage]) -> tuple[float, float, float] | None:

@@ -70,6 +70,11 @@ def test_each_fault_is_a_breach_of_its_own(change, words):
         (("tile.scattered", "options", {"porosity": None}), 3),
         (("extract.marching_cubes", "inputs", {"field": "tile.scattered"}), 3),  # another body than that of the layers
         (("extract.marching_cubes", "options", {"caps": False}), 2),
+        (("write.png", "options", {"islands": "keep"}), 4),
+        (("fill.implicit", "options", {"islands": "auto"}), 4),
+        (("fill.implicit", "options", {"islands": "remove"}), 2),  # as the user wants it
+        (("slice.field", "options", {"islands": "remove"}), 3),
+        (("extract.marching_cubes", "options", {"islands": "remove"}), 3),
     ],
 )
 def test_what_is_not_comparable_is_left_out(change, count):
