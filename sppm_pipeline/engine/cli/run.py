@@ -281,7 +281,7 @@ def _print_summary(
         )
         time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
         print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
-    # nobody may have opened the stream; the variable is the convention of no-color.org
+    # the stream may never have been open; the variable is the convention of no-color.org
     color = sys.stdout is not None and sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in audit_lines(record.get("audit"), color=color):
         print(line)
