@@ -9,15 +9,18 @@ from sppm_pipeline import (
     ConfigError,
     Context,
     Palette,
+    PoreSet,
     ScalarField,
     Size,
     Stage,
     SurfaceMesh,
     TileSet,
+    TunnelGraph,
     Voxels,
     option,
     options,
 )
+from sppm_pipeline.features.browser.live.graph_picture import graph_shape
 from sppm_pipeline.features.browser.live.pictures import (
     MAX_SAMPLES,
     MAX_TILES,
@@ -30,10 +33,17 @@ from sppm_pipeline.features.browser.live.pictures import (
 VALUES_OF_A_PIXEL = 15.5
 """Values of five bytes that are held for each pixel of the picture that is drawn, as measured."""
 
+TRIANGLES_OF_A_PORE, TRIANGLES_OF_A_TUNNEL = 320.0, 16.0
+"""Triangles of a ball, and of a rod."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class WritePicture(Stage):
     """Render a mesh, a cell, a tiling, a part or voxels as PNG; a tile set becomes a sheet of all its tiles.
+
+    Pores become balls and tunnels rods, within the frame of their cell: interior pores blue, those of faces across x, y
+    and z orange, green and pink on both sides, tunnels light blue, those between interior and faces gray. The inner
+    frame holds the interior pores. Of a tile set's pores those of the first tile are shown. Give `from` to choose them.
 
     What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
     from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
@@ -42,7 +52,7 @@ class WritePicture(Stage):
 
     name: ClassVar[str] = "write.picture"
     advice: ClassVar[str] = "lower `resolution` or `image_size`"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ("removed_share",)
 
     path: str = options.write_path("picture.png", suffixes=(".png",))
@@ -58,6 +68,11 @@ class WritePicture(Stage):
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
         tiles, held = 1.0, VALUES_OF_A_PIXEL * pixels
+        if what.geometry is None and not (what.triangles or what.voxels):  # pores, or tunnels between them
+            cell = what.design
+            shown = cell.interior_pores + 2 * cell.face_pores if cell else what.pores
+            triangles = TRIANGLES_OF_A_PORE * shown + TRIANGLES_OF_A_TUNNEL * (cell.tunnels if cell else what.tunnels)
+            return Size(pixels=pixels, triangles=triangles, resident=held)
         if what.triangles:
             return Size(pixels=pixels, triangles=what.triangles, resident=held)
         if what.voxels:
@@ -74,7 +89,7 @@ class WritePicture(Stage):
             pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples + held
         )
 
-    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:
+    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels | TunnelGraph | PoreSet) -> None:
         """Render and write."""
         from PIL import Image
 
@@ -90,6 +105,15 @@ class WritePicture(Stage):
                 threads=threads,
                 progress=lambda done, of: context.progress(done, of, "tiles drawn"),
             )
+        elif isinstance(what, (TunnelGraph, PoreSet)):
+            if self.section is not None:
+                raise ConfigError("`section` cuts solids, not pores and tunnels", hint="leave it out")
+            shape, cell = graph_shape(what), (what if isinstance(what, PoreSet) else what.pores).cell
+            picture = mesh_picture(
+                shape.vertices, shape.faces, self.image_size, camera, colors=shape.colors,
+                unit_mm=cell.edge if cell.physical else None, annotate=self.annotate, background=self.background,
+                threads=threads,
+            )  # fmt: skip
         elif isinstance(what, Voxels):
             picture = voxel_picture(
                 what, self.image_size, camera, section=self.section, section_along=self.section_along,
