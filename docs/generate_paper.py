@@ -1,7 +1,7 @@
 """Write the page that goes through the paper figure by figure, and the tables of results on other pages.
 
-Usage: ``python docs/generate_paper.py`` writes both from the numbers in ``docs/results``; ``--check`` only lists what is
-stale (exit code 1); ``--run [NAME ...]`` runs the configurations, all or those named, and stores their numbers and
+Usage: ``python docs/generate_paper.py`` writes both from the numbers in ``docs/results``; ``--check`` only lists what
+is stale (exit code 1); ``--run [NAME ...]`` runs the configurations, all or those named, and stores their numbers and
 pictures first (``make paper``); ``--recompute [NAME ...]`` runs the rows that each configuration calls cheap again, and
 compares them with the stored numbers, as the tests do.
 
@@ -9,22 +9,27 @@ All that belongs to a figure or table stands in the map `notes` of its configura
 
 * `figure`, `title`, `paper` (what the paper's panel shows), `panels` (pictures of the run), `differs`;
 * `numbers`: what is compared. Each `says` what it is and takes one `column` of the runs, of all rows or those `where`
-  columns have given values: `take` is mean (the default), least, largest, deviation (of single draws) or squared
-  correlation of the means over the column `over`. `paper` is the paper's number or its range, `within` the tolerance,
-  relative to the number, or of an end of the range;
+  columns have given values, ``*`` for any ending. `take` is mean (the default), least, largest, deviation (of single
+  draws), largest from mean (of the same value of the column `over`) or squared correlation (of these means with
+  `over`). `paper` is the paper's number or its range, `within` the tolerance, relative to the number or to the end of
+  the range;
 * `keep`: columns that are stored beside those that numbers and tables take;
 * `tables`: by the name in a page's mark ``<!-- results: NAME -->``, up to ``<!-- end of results -->``: `rows` and
-  `columns`, each with a `head`. A cell takes the column `row.column`, of rows `where`;
-* `cheap`: numbers of the rows that are computed again by tests; all but `without`, stages that cost much and that no
-  stored number needs;
+  `columns`, each with a `head`. A cell takes the column `row.column` of the rows `where` both say; a row may be `from`
+  another configuration, and a column be divided by that named as `over`. Tables of the paper stand on its page;
+* `cheap`: numbers of the rows that are computed again by tests, or all; `without`, stages that cost much and that no
+  number of theirs needs; `cheap_params`, values of parameters with which a single run makes these rows;
+* `needs`: mesh, if one has to be given with ``--mesh``;
 * `table`: a CSV file of the run, if the rows are not those of the sweep.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import hashlib
+import io
 import json
 import math
 import re
@@ -44,18 +49,23 @@ PICTURES = ROOT / "docs" / "pictures" / "paper"
 PAGE = ROOT / "docs" / "explanation" / "reproduce-the-paper.md"
 
 PAPER = (
-    "paper/kernels", "paper/trees", "paper/process",
+    "paper/kernels", "paper/levels", "paper/regions", "paper/trees", "paper/process", "tileset_27",
+    "paper/worked_example", "porosity_map", "paper/slices", "paper/target_porosity", "periodic_vs_stochastic",
+    "stiffness_map", "paper/assemblies", "representative_volume", "graded_bar", "table_mesh_free", "paper/table_mesh",
+    "bunny",
 )  # fmt: skip
 """Configurations of the paper's figures and tables, in its order."""
 
-OTHERS: tuple[str, ...] = ()
+OTHERS: tuple[str, ...] = (
+    "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "how_random", "stiffest_grid", "stiffest",
+)  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
 RELATIVE = 2e-4
 """Difference of a number that is computed again, over the number: solvers are right to 1e-4 of the stiffness."""
 
 MARK = re.compile(r"(<!-- results: (\S+) -->\n)(.*?)(<!-- end of results -->)", re.DOTALL)
-NOTICE = "<!-- Written by docs/generate_paper.py from the configurations and docs/results; edit those, not this page. -->"
+NOTICE = "<!-- Written by docs/generate_paper.py from configurations and docs/results; edit those, not this page. -->"
 HEAD = """# Reproduce the paper
 
 {notice}
@@ -139,12 +149,22 @@ def rows_of(name: str, folder: Path) -> list[dict[str, Any]]:
         rows = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
         if failed := [row for row in rows if row["status"] not in ("done", "cached")]:
             raise RuntimeError(f"{name}: {len(failed)} runs failed, the first: {failed[0]}")
+        rows = [row | ran(folder / "runs" / str(row["run"])) for row in rows]
         return [{key: ",".join(map(str, v)) if isinstance(v, list) else v for key, v in row.items()} for row in rows]
     record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     row: dict[str, Any] = {}
     for stage in record["stages"]:
         row |= flat(stage["summary"], stage["id"])
-    return [row]
+    return [row | ran(folder)]
+
+
+def ran(folder: Path) -> dict[str, float]:
+    """What a run took: seconds, and megabytes of its files."""
+    record = folder / "run.json"
+    if not record.is_file():  # a sweep keeps one record
+        return {}
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file() and file != record)
+    return {"run.seconds": json.loads(record.read_text(encoding="utf-8"))["seconds"], "run.megabytes": size / 1e6}
 
 
 def number_of(word: str) -> Any:
@@ -166,11 +186,14 @@ def wanted_columns(name: str) -> list[str]:
         found += [entry["column"], *entry.get("where", {}), *([entry["over"]] if "over" in entry else [])]
     for table in notes.get("tables", {}).values():
         for row in table["rows"]:
-            found += [column_of(row, column) for column in table["columns"]] + list(row.get("where", {}))
+            if "from" not in row:
+                found += [column_of(row, column) for column in table["columns"]] + list(row.get("where", {}))
+        found += [column["over"] for column in table["columns"] if "over" in column]
+        found += [key for column in table["columns"] for key in column.get("where", {})]
     return list(dict.fromkeys(found))
 
 
-def run(name: str, folder: Path, rows: Sequence[int] | None = None) -> list[dict[str, Any]]:
+def run(name: str, folder: Path, rows: Sequence[int] | None = None, more: Sequence[str] = ()) -> list[dict[str, Any]]:
     """Run a configuration, or only some rows of its sweep and without stages that cost much; its rows."""
     path = ROOT / "configs" / f"{name}.yaml"
     if rows is not None:
@@ -190,10 +213,19 @@ def run(name: str, folder: Path, rows: Sequence[int] | None = None) -> list[dict
         with path.open("w", encoding="utf-8") as file:
             YAML(typ="safe").dump(document, file)
     output = folder / "run"
-    words = ["run", str(path), "-q", "-o", str(output), "--audit", "warn"]
+    words = ["run", str(path), "-q", "-o", str(output), "--audit", "warn", "--no-cache", *more]
     for key, value in (notes_of(name).get("cheap_params", {}) if rows is not None else {}).items():
         words += ["-p", f"{key}={value}"]
-    subprocess.run([sys.executable, "-m", "sppm_pipeline", *words], check=True, cwd=ROOT)
+    if rows is None:
+        subprocess.run([sys.executable, "-m", "sppm_pipeline", *words], check=True, cwd=ROOT)
+    else:  # in this process, as libraries take a second to load
+        from sppm_pipeline.engine.cli.main import main as sppm
+
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            code = sppm(words)
+        if code:
+            raise RuntimeError(f"{name}: sppm run ended with {code}:\n{said.getvalue()}")
     return rows_of(name, output)
 
 
@@ -208,7 +240,7 @@ def axis_value(value: Any) -> Any:
     return [int(word) for word in value.split(",")] if isinstance(value, str) and "," in value else value
 
 
-def store(name: str) -> None:
+def store(name: str, more: Sequence[str]) -> None:
     """Run a configuration; keep the numbers and pictures that are shown."""
     from resource import RUSAGE_CHILDREN, getrusage
 
@@ -217,7 +249,7 @@ def store(name: str) -> None:
 
     before = getrusage(RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as scratch:
-        rows = run(name, Path(scratch))
+        rows = run(name, Path(scratch), more=more)
         used = getrusage(RUSAGE_CHILDREN)
         for panel in notes_of(name).get("panels", ()):
             PICTURES.mkdir(parents=True, exist_ok=True)
@@ -252,7 +284,13 @@ def significant(value: Any) -> Any:
 
 def chosen(rows: Sequence[Mapping[str, Any]], column: str, where: Mapping[str, Any]) -> list[float]:
     """Values of a column in the rows where others have given values."""
-    found = [row[column] for row in rows if column in row and all(row.get(key) == v for key, v in where.items())]
+
+    def fits(value: Any, wanted: Any) -> bool:
+        if isinstance(wanted, str) and wanted.endswith("*"):
+            return str(value).startswith(wanted[:-1])
+        return bool(value == wanted)
+
+    found = [row[column] for row in rows if column in row and all(fits(row.get(key), v) for key, v in where.items())]
     if not found:
         raise ValueError(f"no row has {column!r} where {dict(where)}")
     return [float(value) for value in found]
@@ -272,11 +310,26 @@ def measured(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> Mea
     n, take = len(values), entry.get("take", "mean")
     mean = math.fsum(values) / n
     deviation = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (n - 1)) if n > 1 else 0.0
+    if take == "mean" and "over" in entry:  # of the ratio
+        below = chosen(rows, entry["over"], entry.get("where", {}))
+        ratios = [{"ratio": a / b} for a, b in zip(values, below, strict=True)]
+        return measured(ratios, {"column": "ratio"})
     if take == "mean":
         return Measured(mean, deviation / math.sqrt(n) if n > 1 else None, n)
+    if take == "largest from mean":
+        return Measured(max(map(abs, from_means(rows, entry))), None, n)
     if take == "squared correlation":
         return Measured(squared_correlation(rows, entry), None, n)
     return Measured({"least": min(values), "largest": max(values), "deviation": deviation}[take], None, n)
+
+
+def from_means(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> list[float]:
+    """Differences of a column's values from the mean of those with the same value of the column `over`."""
+    found = []
+    for place in sorted({row[entry["over"]] for row in rows}):
+        values = chosen(rows, entry["column"], {entry["over"]: place})
+        found += [value - math.fsum(values) / len(values) for value in values]
+    return found
 
 
 def squared_correlation(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> float:
@@ -321,7 +374,7 @@ def page() -> str:
     lines = [HEAD.format(notice=NOTICE, minutes=f"{minutes:.0f}")]
     for name in PAPER:
         lines += section(name)
-    lines += ["Further measurements are on the pages of this chapter and in [`benchmarks/`](../../benchmarks/README.md).", ""]
+    lines += ["Further measurements are in [`benchmarks/`](../../benchmarks/README.md).", ""]
     return "\n".join(lines)
 
 
@@ -337,12 +390,14 @@ def section(name: str) -> list[str]:
         lines += ["| | here | the paper | within | agrees |", "|---|---|---|---|---|"]
         for entry in notes["numbers"]:
             got = measured(found.rows, entry)
-            paper, within = entry.get("paper"), entry.get("within")
-            said = "" if paper is None else " to ".join(f"{v:g}" for v in (paper if isinstance(paper, list) else [paper]))
+            paper, within = entry.get("paper", ""), entry.get("within")
+            said = " to ".join(f"{v:g}" for v in paper) if isinstance(paper, list) else str(paper)
             of = f" ({got.draws} draws)" if got.draws > 1 else ""
             room = "" if within is None else f"{within:.3g}" if within == 0 else f"{100 * within:.3g} %"
             lines.append(f"| {entry['says']}{of} | {text_of(got)} | {said} | {room} | {agreement(got, entry)} |")
         lines.append("")
+    for table in notes.get("tables", {}).values():
+        lines += [table_text(name, table).strip(), ""]
     if "differs" in notes:
         lines += [notes["differs"].strip(), ""]
     return lines
@@ -360,24 +415,27 @@ def column_of(row: Mapping[str, Any], column: Mapping[str, Any]) -> str:
 
 def table_text(name: str, table: Mapping[str, Any]) -> str:
     """A table of results as Markdown, and where it is from."""
-    rows, columns = stored(name).rows, table["columns"]
+    columns = table["columns"]
     lines = ["", f"| {table.get('corner', '')} | " + " | ".join(column["head"] for column in columns) + " |"]
     lines.append("|" + "---|" * (len(columns) + 1))
     draws: set[int] = set()
     for row in table["rows"]:
-        cells = []
+        cells, rows = [], stored(row.get("from", name)).rows
         for column in columns:
-            entry = {**column, "column": column_of(row, column), "where": row.get("where", {})}
+            where = {**row.get("where", {}), **column.get("where", {})}
+            entry = {**column, "column": column_of(row, column), "where": where}
             try:
                 found = measured(rows, entry)
             except ValueError:
                 cells.append("")
                 continue
             draws.add(found.draws)
+            found = found._replace(error=None) if column.get("plain") else found
             cells.append(text_of(found, column.get("digits", 3)))
         lines.append(f"| {row['head']} | " + " | ".join(cells) + " |")
     most = max(draws)
-    many = f"means of {most} draws ± standard error" if draws == {most} else f"means of up to {most} draws"
+    several = " to ".join(map(str, dict.fromkeys((min(draws), most))))
+    many = f"means of {several} draws ± standard error"
     said = many if most > 1 else "one draw"
     lines += ["", f"[`{Path(name).name}.yaml`](../../configs/{name}.yaml), {said}.", ""]
     return "\n".join(lines)
@@ -401,7 +459,8 @@ def written_pages() -> dict[Path, str]:
         if "<!-- results: " in text and path != PAGE:
             used |= {match[2] for match in MARK.finditer(text)}
             found[path] = MARK.sub(lambda match: match[1] + tables[match[2]] + match[4], text)
-    if unused := set(tables) - used:
+    own = {key for name in PAPER for key in notes_of(name).get("tables", {})}
+    if unused := set(tables) - used - own:
         raise ValueError(f"no page shows the table {sorted(unused)[0]!r}")
     return found
 
@@ -421,13 +480,16 @@ def differences(name: str, folder: Path) -> list[str]:
     new = run(name, folder, range(len(kept)) if cheap == "all" else cheap)
     found = []
     for n, (before, after) in enumerate(zip(old, new, strict=False)):
-        shared = [key for key in before if key in after]
+        shared = [key for key in before if key in after and not key.startswith("run.")]
         if not any(isinstance(before[key], float | int) for key in shared):
             found.append(f"{name}, row {n}: nothing to compare")
         for key in shared:
             a, b = before[key], after[key]
-            numbers = isinstance(a, float | int) and isinstance(b, float | int)
-            if abs(a - b) > RELATIVE * abs(a) + 1e-9 if numbers else str(a) != ",".join(map(str, b)) if isinstance(b, list) else a != b:
+            if isinstance(a, float | int) and isinstance(b, float | int):
+                same = abs(a - b) <= RELATIVE * abs(a) + 1e-9
+            else:
+                same = a == (",".join(map(str, b)) if isinstance(b, list) else b)
+            if not same:
                 found.append(f"{name}, row {n}: {key} is {b}, {a} is stored")
     return found if len(new) >= len(old) else [*found, f"{name}: {len(new)} rows in place of {len(old)}"]
 
@@ -437,12 +499,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="only list what is stale")
     parser.add_argument("--run", nargs="*", metavar="NAME", help="run configurations first: all, or these")
+    parser.add_argument("--mesh", type=Path, metavar="FILE", help="closed mesh for the configurations that need one")
     parser.add_argument("--recompute", nargs="*", metavar="NAME", help="compute cheap rows again and compare")
     arguments = parser.parse_args()
     if arguments.run is not None:
         for name in arguments.run or (*PAPER, *OTHERS):
             begun = time.monotonic()
-            store(name)
+            if (needed := notes_of(name).get("needs")) and arguments.mesh is None:
+                print(f"{name}: left out, needs --{needed}")
+                continue
+            store(name, ["-p", f"{needed}={arguments.mesh.resolve()}"] if needed else [])
             print(f"{name}: {time.monotonic() - begun:.0f} s", flush=True)
     if arguments.recompute is not None:
         found = []
@@ -455,6 +521,9 @@ def main() -> int:
         old = stale()
         print("\n".join(old) or "all is up to date")
         return 1 if old else 0
+    if missing := [name for name in (*PAPER, *OTHERS) if not file_of(name).is_file()]:
+        print(f"nothing is written, as there are no numbers of {', '.join(missing)}")
+        return 1
     for path, text in written_pages().items():
         path.write_text(text, encoding="utf-8")
     return 0

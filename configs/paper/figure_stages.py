@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, PoreSet, Sampler, Stage, option
+from sppm_pipeline import ConfigError, Context, Sampler, Stage, option
 from sppm_pipeline.method.tiling.statistics import rule2_scores
 from sppm_pipeline.method.tiling.wang import tile_colors
 

@@ -18,7 +18,7 @@ BALL, ROD, FRAME = 0.024, 0.007, 0.005
 """Radii in cell sizes of a pore, a tunnel and an edge of the frame."""
 
 INTERIOR, FACES = (0, 114, 178), ((213, 94, 0), (0, 158, 115), (204, 121, 167))
-TUNNEL, CONNECTOR, EDGE, INNER = (86, 180, 233), (150, 150, 150), (0, 158, 115), (0, 114, 178)
+TUNNEL, CONNECTOR, EDGE, INNER = (86, 180, 233), (150, 150, 150), (40, 120, 80), (30, 90, 150)
 
 _SIDES = 8
 
@@ -32,7 +32,7 @@ class Shape(NamedTuple):
 
 
 def graph_shape(what: PoreSet | TunnelGraph) -> Shape:
-    """The pores of one cell, or of blocks without faces where they lie, and their tunnels, in cell sizes.
+    """The pores of one cell and their tunnels, in cell sizes.
 
     Of a tile set the first interior and the first color of each axis are shown. Pores of the interior are blue; those
     of faces across x, y and z orange, green and pink, on both sides of the cell. Tunnels are light blue, those between
@@ -42,28 +42,23 @@ def graph_shape(what: PoreSet | TunnelGraph) -> Shape:
     Raises
     ------
     DesignError
-        If there are more than `MAX_SHOWN` pores and tunnels.
+        If there are more than `MAX_SHOWN` pores and tunnels, or the pores are those of blocks without faces.
     """
     pores = what if isinstance(what, PoreSet) else what.pores
-    place, kept = pores.centers.copy(), np.ones(len(pores.centers), bool)
-    size = np.ones(3)
     if pores.blocks is not None:
-        place += pores.blocks.sites[pores.piece]
-        size = np.array(pores.blocks.shape, np.float64)
-    else:
-        shown = [0, *(pores.face_piece(axis, 0) for axis in range(3) if pores.colors[axis])]
-        kept = np.isin(pores.piece, shown)
-    axis_of = pores.axis_of_piece()[pores.piece]
+        raise DesignError("pores of blocks without faces have no cell to be drawn in", hint="draw the field they make")
+    shown = [0, *(pores.face_piece(axis, 0) for axis in range(3) if pores.colors[axis])]
+    kept, axis_of, place = np.isin(pores.piece, shown), pores.axis_of_piece()[pores.piece], pores.centers
     edges, shift = np.zeros((0, 2), np.int64), np.zeros((0, 3))
     if isinstance(what, TunnelGraph):
-        edges, shift = what.edges.astype(np.int64), what.shift.astype(np.float64)
-    edges, shift = (array[kept[edges].all(1)] for array in (edges, shift))
+        there = kept[what.edges].all(1)
+        edges, shift = what.edges[there].astype(np.int64), what.shift[there].astype(np.float64)
     if kept.sum() + len(edges) > MAX_SHOWN:
         raise DesignError(
             f"a picture shows up to {MAX_SHOWN} pores and tunnels, there are {kept.sum()} and {len(edges)}",
-            hint="draw fewer cells, or the field that is made of them",
+            hint="draw the field that is made of them",
         )
-    shapes = [_rods(*_box_edges(np.zeros(3), size), FRAME, EDGE)]
+    shapes = [_rods(*_box_edges(np.zeros(3), np.ones(3)), FRAME, EDGE)]
     inside = kept & (axis_of < 0)
     if pores.has_faces and inside.sum() > 1:
         shapes.append(_rods(*_box_edges(place[inside].min(0), place[inside].max(0)), FRAME, INNER))
@@ -72,15 +67,14 @@ def graph_shape(what: PoreSet | TunnelGraph) -> Shape:
         # a pore is seen at every place of the cell that is the same by periodicity
         images = np.concatenate([place[kept & (axis_of == axis)] + np.array(s) for s in np.ndindex(2, 2, 2)])
         shapes.append(_balls(images[(images <= 1).all(1)], BALL, FACES[axis]))
-    starts, ends = place[edges[:, 0]], (place[edges[:, 1]] if pores.blocks else pores.centers[edges[:, 1]])
-    ends = ends + shift * size
-    across = (pores.piece[edges[:, 0]] != pores.piece[edges[:, 1]]) & (pores.blocks is None)
-    repeats = pores.blocks is None or pores.blocks.periodic
-    # a tunnel that leaves the cell comes in again on the other side; one of a face is seen on both sides
-    moves = [np.array(s) * size for s in np.ndindex(3, 3, 3)] if repeats else [size]
+    starts, ends = place[edges[:, 0]], place[edges[:, 1]] + shift
+    across = pores.piece[edges[:, 0]] != pores.piece[edges[:, 1]]
     for chosen, color in ((~across, TUNNEL), (across, CONNECTOR)):
-        parts = [_clipped(starts[chosen] + move - size, ends[chosen] + move - size, size) for move in moves]
-        shapes.append(_rods(*(np.concatenate(points) for points in zip(*parts, strict=True)), ROD, color))
+        # a tunnel that leaves the cell comes in again on the other side; one of a face is seen on both sides
+        moves = [np.array(s) - 1.0 for s in np.ndindex(3, 3, 3)]
+        parts = [_clipped(starts[chosen] + move, ends[chosen] + move) for move in moves]
+        first, last = (np.concatenate([part[end] for part in parts]) for end in (0, 1))
+        shapes.append(_rods(first, last, ROD, color))
     return _together(shapes)
 
 
@@ -107,9 +101,7 @@ def _balls(centers: NDArray[np.float64], radius: float, color: tuple[int, int, i
     return _many(centers[:, None, :] + radius * sphere, np.asarray(faces, np.int64), color)
 
 
-def _rods(
-    starts: NDArray[np.float64], ends: NDArray[np.float64], radius: float, color: tuple[int, int, int]
-) -> Shape:
+def _rods(starts: NDArray[np.float64], ends: NDArray[np.float64], radius: float, color: tuple[int, int, int]) -> Shape:
     """Open prisms around segments."""
     along = ends - starts
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
@@ -128,15 +120,13 @@ def _rods(
     return _many(points, faces, color)
 
 
-def _clipped(
-    starts: NDArray[np.float64], ends: NDArray[np.float64], size: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The parts of segments in the box from 0 to `size` (Liang and Barsky 1984), those of some length."""
+def _clipped(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The parts of segments in the unit cube (Liang and Barsky 1984), those of some length."""
     along = ends - starts
     with np.errstate(divide="ignore", invalid="ignore"):
-        enter, leave = -starts / along, (size - starts) / along
+        enter, leave = -starts / along, (1 - starts) / along
     flat = along == 0
-    outside = (flat & ((starts < 0) | (starts > size))).any(1)
+    outside = (flat & ((starts < 0) | (starts > 1))).any(1)
     enter, leave = np.minimum(enter, leave), np.maximum(enter, leave)
     first = np.where(flat, 0.0, enter).max(1).clip(0.0)
     last = np.where(flat, 1.0, leave).min(1).clip(max=1.0)

@@ -306,7 +306,7 @@ def tile_sheet(
 def _tile_picture(
     scene: Scene, colors: tuple[int, int, int] | None, camera: Camera, background: Background, threads: int
 ) -> NDArray[np.uint8]:
-    """A tile whose cut faces across each axis show a color: each face is taken from a picture with cuts of its color."""
+    """A tile whose cut faces across each axis show a color: each is taken from a picture with cuts of its color."""
     from PIL import Image, ImageDraw
 
     from sppm_pipeline.services.pictures.camera import projected

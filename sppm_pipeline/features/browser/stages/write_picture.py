@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from sppm_pipeline import (
@@ -29,9 +29,13 @@ from sppm_pipeline.features.browser.live.pictures import (
     tile_sheet,
     voxel_picture,
 )
+from sppm_pipeline.services.pictures.shading import CUT
 
 VALUES_OF_A_PIXEL = 15.5
 """Values of five bytes that are held for each pixel of the picture that is drawn, as measured."""
+
+CUTS = {"copper": CUT, "red": (204, 64, 54), "green": (62, 150, 74), "blue": (58, 104, 196)}
+"""Colors of planes by name."""
 
 TRIANGLES_OF_A_PORE, TRIANGLES_OF_A_TUNNEL = 320.0, 16.0
 """Triangles of a ball, and of a rod."""
@@ -62,6 +66,7 @@ class WritePicture(Stage):
     elevation: float = options.elevation(25.0)
     section: float | None = options.section(None)
     section_along: str = option("y", help="axis across which `section` cuts", choices=("x", "y", "z"))
+    cut: str = option("copper", help="color of the plane of `section`", choices=tuple(CUTS))
     annotate: bool = option(True, help="draw the directions of the axes and a scale bar; not on sheets of tiles")
     background: str = option("light", help="what is behind the part", choices=("light", "dark", "transparent"))
 
@@ -133,6 +138,7 @@ class WritePicture(Stage):
             scene = scene_of(what, self.resolution, threads=threads)
             if scene.removed_share:
                 context.report(removed_share=scene.removed_share)
+            scene = replace(scene, colors=scene.colors._replace(section=CUTS[self.cut]))
             picture = scene.picture(
                 self.image_size, camera, section=self.section, section_along=self.section_along,
                 annotate=self.annotate, background=self.background, threads=threads,

@@ -58,7 +58,7 @@ class WriteSection(Stage):
 
         from sppm_pipeline.services.pictures.sheets import colors_of, with_scale
 
-        values, step = plane_of(field, "xyz".index(self.along), self.at, self.pixels, context.threads)
+        values = plane_of(field, "xyz".index(self.along), self.at, self.pixels, context.threads)
         summed = field.sum_level
         if summed is not None:
             values = values + summed
@@ -85,13 +85,8 @@ _CURVES = tuple(
 """Blue, green and yellow as in the paper's figure, then those of charts."""
 
 
-def plane_of(
-    field: ScalarField, axis: int, at: float, pixels: int, threads: int
-) -> tuple[NDArray[np.float64], float]:
-    """Values on a plane across an axis, (rows, columns), the first remaining axis to the right and the other one up.
-
-    Returned with the distance of the samples in cell sizes.
-    """
+def plane_of(field: ScalarField, axis: int, at: float, pixels: int, threads: int) -> NDArray[np.float64]:
+    """Values on a plane across an axis, (rows, columns), the first remaining axis to the right and the other one up."""
     across, up = (a for a in range(3) if a != axis)
     wide, high = field.cells[across], field.cells[up]
     step = max(wide, high) / pixels
@@ -100,8 +95,8 @@ def plane_of(
         shape[a], origin[a] = max(1, round(cells / step)), step / 2
     origin[axis] = at
     grid = Grid((origin[0], origin[1], origin[2]), (step, step, step), (shape[0], shape[1], shape[2]))
-    values = np.asarray(field.sample(grid, threads), np.float64).squeeze(axis)
-    return np.ascontiguousarray(values.T[::-1]), step
+    values = np.asarray(field.exactly().sample(grid, threads), np.float64).squeeze(axis)
+    return np.ascontiguousarray(values.T[::-1])
 
 
 def with_curve(
@@ -112,5 +107,4 @@ def with_curve(
     # the distance to the curve in pixels, to first order, so that curves are as wide on steep slopes as on flat ones
     away = np.abs(values - level) / np.maximum(slope, 1e-12)
     opacity = np.clip(CURVE + 0.5 - away, 0.0, 1.0)[..., None] * (slope > 0)[..., None]
-    mixed = picture * (1 - opacity) + np.array(color) * opacity
-    return np.rint(mixed).astype(np.uint8)
+    return np.asarray(np.rint(picture * (1 - opacity) + np.array(color) * opacity), np.uint8)
