@@ -51,7 +51,8 @@ PAGE = ROOT / "docs" / "explanation" / "reproduce-the-paper.md"
 PAPER = (
     "paper/kernels", "paper/levels", "paper/regions", "paper/trees", "paper/process", "tileset_27",
     "paper/worked_example", "porosity_map", "paper/slices", "paper/target_porosity", "periodic_vs_stochastic",
-    "stiffness_map", "paper/assemblies", "representative_volume", "graded_bar", "table_mesh_free", "paper/table_mesh",
+    "stiffness_map", "paper/assemblies", "representative_volume", "crush_structures",
+    "graded_bar", "table_mesh_free", "paper/table_mesh",
     "bunny",
 )  # fmt: skip
 """Configurations of the paper's figures and tables, in its order."""
@@ -201,10 +202,10 @@ def run(name: str, folder: Path, rows: Sequence[int] | None = None, more: Sequen
         notes = document.pop("notes")
         document.pop("after", None)
         document["folder"] = str(path.parent)
-        without = set(notes.get("without", ()))
+        without, wanted = set(notes.get("without", ())), wanted_columns(name)
         document["pipeline"] = [
             entry for entry in document["pipeline"]
-            if entry.get("id", entry["stage"]) not in without and not is_picture(entry, notes)
+            if entry.get("id", entry["stage"]) not in without and not only_drawn(entry, notes, wanted)
         ]  # fmt: skip
         if "sweep" in document:
             axes = list(document["sweep"]) if isinstance(document["sweep"], dict) else list(document["sweep"][0])
@@ -229,10 +230,10 @@ def run(name: str, folder: Path, rows: Sequence[int] | None = None, more: Sequen
     return rows_of(name, output)
 
 
-def is_picture(entry: Mapping[str, Any], notes: Mapping[str, Any]) -> bool:
-    """True of a stage that draws something of which no number is stored."""
-    drawn = entry["stage"] in ("write.picture", "write.chart", "write.png", "write.mesh", "write.sheet")
-    return drawn and entry.get("path") != notes.get("table")
+def only_drawn(entry: Mapping[str, Any], notes: Mapping[str, Any], wanted: Iterable[str]) -> bool:
+    """True of a stage that writes something of which no number is stored."""
+    numbers = any(column.startswith(f"{entry.get('id', entry['stage'])}.") for column in wanted)
+    return entry["stage"].startswith("write.") and not numbers and entry.get("path") != notes.get("table", "")
 
 
 def axis_value(value: Any) -> Any:
