@@ -39,11 +39,13 @@ class WriteSection(Stage):
     path: str = options.write_path("section.png", suffixes=(".png",))
     along: str = option("z", help="axis across which the plane lies", choices=("x", "y", "z"))
     at: float = option(0.5, help="place of the plane along this axis", unit="cell sizes", minimum=-1e4, maximum=1e4)
-    levels: tuple[float, ...] = option((), help="values whose curves are drawn, in blue, green, yellow and so on")
+    levels: tuple[float, ...] = option(
+        (), help="values whose curves are drawn, in blue, green, yellow and so on", minimum=-1e9, maximum=1e9
+    )
     pixels: int = option(480, help="pixels along the longer side of the section", minimum=16, maximum=MAX_PIXELS)
 
     def check_options(self) -> None:
-        """Each level once, and no more than can be told apart."""
+        """Each level once, and no more than have a color of their own."""
         if len(set(self.levels)) < len(self.levels) or len(self.levels) > len(_CURVES):
             raise ConfigError(f"`levels` names up to {len(_CURVES)} different values, got {list(self.levels)}")
 
