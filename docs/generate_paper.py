@@ -58,7 +58,8 @@ PAPER = (
 """Configurations of the paper's figures and tables, in its order."""
 
 OTHERS: tuple[str, ...] = (
-    "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "tables/network", "how_random", "stiffest_grid", "stiffest",
+    "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "tables/network", "how_random",
+    "stiffest_grid", "stiffest",
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
