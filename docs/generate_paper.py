@@ -479,7 +479,10 @@ def differences(name: str, folder: Path) -> list[str]:
     cheap = notes_of(name)["cheap"]
     kept = stored(name).rows
     old = kept if cheap == "all" else [kept[n] for n in cheap]
-    new = run(name, folder, range(len(kept)) if cheap == "all" else cheap)
+    try:
+        new = run(name, folder, range(len(kept)) if cheap == "all" else cheap)
+    except RuntimeError as error:
+        return [str(error)]
     found = []
     for n, (before, after) in enumerate(zip(old, new, strict=False)):
         shared = [key for key in before if key in after and not key.startswith("run.")]
