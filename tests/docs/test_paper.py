@@ -17,8 +17,8 @@ from tests.docs.conftest import script
 generator = script("generate_paper")
 NAMES = (*generator.PAPER, *generator.OTHERS)
 CHEAP = [name for name in NAMES if "cheap" in generator.notes_of(name)]
-DEAR = {"bunny", "crush_structures"}
-"""Configurations of which no part is computed again: a mesh that is not part of the repository, minutes of crushing."""
+DEAR = {"bunny"}
+"""Configurations of which no part is computed again: the mesh is not part of the repository."""
 
 
 def test_pages_are_those_of_the_stored_numbers() -> None:
