@@ -317,10 +317,10 @@ def measured(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> Mea
     n, take = len(values), entry.get("take", "mean")
     mean = math.fsum(values) / n
     deviation = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (n - 1)) if n > 1 else 0.0
-    if take == "mean" and "over" in entry:  # of the ratio
+    if "over" in entry and take not in ("largest from mean", "squared correlation"):
         below = chosen(rows, entry["over"], entry.get("where", {}))
         ratios = [{"ratio": a / b} for a, b in zip(values, below, strict=True)]
-        return measured(ratios, {"column": "ratio"})
+        return measured(ratios, {"column": "ratio", "take": take})
     if take == "mean":
         return Measured(mean, deviation / math.sqrt(n) if n > 1 else None, n)
     if take == "largest from mean":
@@ -432,6 +432,7 @@ def table_text(name: str, table: Mapping[str, Any]) -> str:
         for column in columns:
             where = {**row.get("where", {}), **column.get("where", {})}
             entry = {**column, "column": column_of(row, column), "where": where}
+            entry |= {"take": row["take"]} if "take" in row else {}
             try:
                 found = measured(rows, entry)
             except ValueError:
