@@ -63,6 +63,12 @@ OTHERS: tuple[str, ...] = (
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
+NOT_RUN = (
+    "stiffness_map", "representative_volume", "tables/stiffest_cells", "tables/tile_rules", "tables/network",
+    "how_random", "stiffest_grid",
+)  # fmt: skip
+"""Those of which no numbers are stored yet: the page says so, and their tables stand on no page."""
+
 RELATIVE = 2e-4
 """Difference of a number that is computed again, over the number: solvers are right to 1e-4 of the stiffness."""
 
@@ -89,6 +95,9 @@ ELSEWHERE = """## Figure 14 and Table 1: compression of eight structures
 
 `sppm run crush_structures` takes minutes for each structure and is not run for this page; its results, and why the
 paper's strengths are not reproduced, are on [the page of crushing](crushing.md#the-papers-eight-structures)."""
+
+
+RUN = tuple(name for name in (*PAPER, *OTHERS) if name not in NOT_RUN)
 
 
 class Stored(NamedTuple):
@@ -377,7 +386,7 @@ def text_of(found: Measured, digits: int = 3) -> str:
 
 def page() -> str:
     """The page of the paper."""
-    minutes = sum(stored(name).seconds for name in PAPER) / 60
+    minutes = sum(stored(name).seconds for name in PAPER if name not in NOT_RUN) / 60
     lines = [HEAD.format(notice=NOTICE, minutes=f"{minutes:.0f}")]
     for name in PAPER:
         lines += section(name)
@@ -388,8 +397,12 @@ def page() -> str:
 
 def section(name: str) -> list[str]:
     """The lines of one figure or table."""
-    notes, found = notes_of(name), stored(name)
+    notes = notes_of(name)
     lines = [f"## {notes['figure']}: {notes['title']}", ""]
+    if name in NOT_RUN:
+        how = f"`python docs/generate_paper.py --run {name}`"
+        return [*lines, f"The paper: {notes['paper'].strip()}.", "", f"No numbers are stored yet: {how}.", ""]
+    found = stored(name)
     for panel in notes.get("panels", ()):
         says = panel["says"] if isinstance(panel, dict) else Path(panel).stem.replace("_", " ")
         lines.append(f"![{says}](../pictures/paper/{picture_of(name, panel)})")
@@ -453,7 +466,7 @@ def table_text(name: str, table: Mapping[str, Any]) -> str:
 def all_tables() -> dict[str, str]:
     """Text of every table by the name in its mark."""
     found = {}
-    for name in (*PAPER, *OTHERS):
+    for name in RUN:
         for key, table in notes_of(name).get("tables", {}).items():
             found[key] = table_text(name, table)
     return found
@@ -476,7 +489,7 @@ def written_pages() -> dict[Path, str]:
 
 def stale() -> list[str]:
     """What differs from the configurations and the stored numbers."""
-    old = [f"docs/results/{file_of(name).name}" for name in (*PAPER, *OTHERS) if stored(name).recipe != recipe_of(name)]
+    old = [f"docs/results/{file_of(name).name}" for name in RUN if stored(name).recipe != recipe_of(name)]
     pages = [path for path, text in written_pages().items() if path.read_text(encoding="utf-8") != text]
     return old + [path.relative_to(ROOT).as_posix() for path in pages]
 
@@ -524,7 +537,7 @@ def main() -> int:
             print(f"{name}: {time.monotonic() - begun:.0f} s", flush=True)
     if arguments.recompute is not None:
         found = []
-        for name in arguments.recompute or [n for n in (*PAPER, *OTHERS) if "cheap" in notes_of(n)]:
+        for name in arguments.recompute or [n for n in RUN if "cheap" in notes_of(n)]:
             with tempfile.TemporaryDirectory() as scratch:
                 found += differences(name, Path(scratch))
         print("\n".join(found) or "all numbers are as stored")
@@ -533,7 +546,7 @@ def main() -> int:
         old = stale()
         print("\n".join(old) or "all is up to date")
         return 1 if old else 0
-    if missing := [name for name in (*PAPER, *OTHERS) if not file_of(name).is_file()]:
+    if missing := [name for name in RUN if not file_of(name).is_file()]:
         print(f"nothing is written, as there are no numbers of {', '.join(missing)}")
         return 1
     for path, text in written_pages().items():
