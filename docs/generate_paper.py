@@ -64,8 +64,7 @@ OTHERS: tuple[str, ...] = (
 """Further configurations whose results are stored, for tables of other pages."""
 
 NOT_RUN = (
-    "stiffness_map", "representative_volume", "tables/stiffest_cells", "tables/tile_rules", "tables/network",
-    "how_random", "stiffest_grid",
+    "stiffness_map", "representative_volume", "tables/tile_rules", "how_random", "stiffest_grid",
 )  # fmt: skip
 """Those of which no numbers are stored yet: the page says so, and their tables stand on no page."""
 
