@@ -45,7 +45,8 @@ TRIANGLES_OF_A_PORE, TRIANGLES_OF_A_TUNNEL = 320.0, 16.0
 class WritePicture(Stage):
     """Render a mesh, a cell, a tiling, a part or voxels as PNG; a tile set becomes a sheet of all its tiles.
 
-    Pores become balls and tunnels rods, within the frame of their cell: interior pores blue, those of faces across x, y
+    The cut faces of Wang tiles of up to three colors are red, blue and green, as their pattern of pores is the first,
+    second or third. Pores become balls and tunnels rods, within the frame of their cell: interior pores blue, those of faces across x, y
     and z orange, green and pink on both sides, tunnels light blue, those between interior and faces gray. The inner
     frame holds the interior pores. Of a tile set's pores those of the first tile are shown. Give `from` to choose them.
 
