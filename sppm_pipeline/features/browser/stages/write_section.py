@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Palette, ScalarField, Size, Stage, option, options
+from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.chart_style import COLORS
 
@@ -61,7 +62,7 @@ class WriteSection(Stage):
         from sppm_pipeline.services.pictures.sheets import colors_of, with_scale
 
         values = plane_of(field, "xyz".index(self.along), self.at, self.pixels, context.threads)
-        summed = field.sum_level
+        summed = None if isinstance(field, Part) else field.sum_level  # beyond a part there is no sum
         if summed is not None:
             values = values + summed
         levels = self.levels or ((0.0,) if summed is None else (summed,))
