@@ -46,9 +46,10 @@ class WritePicture(Stage):
     """Render a mesh, a cell, a tiling, a part or voxels as PNG; a tile set becomes a sheet of all its tiles.
 
     The cut faces of Wang tiles of up to three colors are red, blue and green, as their pattern of pores is the first,
-    second or third. Pores become balls and tunnels rods, within the frame of their cell: interior pores blue, those of faces across x, y
-    and z orange, green and pink on both sides, tunnels light blue, those between interior and faces gray. The inner
-    frame holds the interior pores. Of a tile set's pores those of the first tile are shown. Give `from` to choose them.
+    second or third. Pores become balls and tunnels rods, within the frame of their cell: interior pores blue, those
+    of faces across x, y and z orange, green and pink on both sides, tunnels light blue, those between interior and
+    faces gray. The inner frame holds the interior pores. Of a tile set's pores those of the first tile are shown.
+    Give `from` to choose them.
 
     What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
     from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
