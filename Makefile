@@ -27,7 +27,7 @@ docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documen
 	$(BIN)/python docs/generate_gallery.py --reports build/site/gallery/reports
 	$(BIN)/python -m sphinx -W --keep-going -q -E -d build/doctrees docs build/site
 
-paper: $(VENV)/.installed-docs  ## run every figure and table of the paper and of the docs' results, and write their pages; takes half an hour
+paper: $(VENV)/.installed-docs  ## run every figure and table of the paper and of the docs' results, and write their pages
 	$(BIN)/python docs/generate_paper.py --run
 
 $(VENV)/.installed: pyproject.toml

@@ -86,8 +86,8 @@ paper](paper.md) discusses the text.
 make paper
 ```
 
-runs all configurations of this page again, in {minutes} minutes of processor time on the machine that made it, and
-writes it. Tests compute a part of each again, and compare.
+runs all configurations of this page, and of the tables of results on other pages, and writes them. Those of this page
+that have numbers here took {minutes} minutes of processor time. Tests compute a part of each again, and compare.
 """
 
 ELSEWHERE = """## Figure 14 and Table 1: compression of eight structures
