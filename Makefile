@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: quickstart test test-oldest docs clean
+.PHONY: quickstart test test-oldest docs paper clean
 
 quickstart: $(VENV)/.installed  ## set up and run the main job; results are in runs/quickstart
 	@echo "== running configs/quickstart.yaml; the first run compiles for half a minute"
@@ -26,6 +26,9 @@ test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows;
 docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documentation in build/site; warnings are errors
 	$(BIN)/python docs/generate_gallery.py --reports build/site/gallery/reports
 	$(BIN)/python -m sphinx -W --keep-going -q -E -d build/doctrees docs build/site
+
+paper: $(VENV)/.installed-docs  ## run every figure and table of the paper and of the docs' results, and write their pages
+	$(BIN)/python docs/generate_paper.py --run
 
 $(VENV)/.installed: pyproject.toml
 	@echo "== making a virtual environment in $(VENV)"

@@ -181,8 +181,9 @@ CONFIGS: Mapping[str, Small] = {
     ),
     "stiffness_map": _small(
         "",
-        "homogenize.voxel.resolution=20; check.connectivity.resolution=12",
-        "{omega: [30], pores: [24, 60], seed: [1]}",
+        """elastic.resolution=20; check.connectivity.resolution=12; tune.porosity.resolution=24; tune.porosity.trials=1;
+        tune.porosity.tolerance=0.01""",
+        "{omega: [30], porosity: [0.3, 0.6], seed: [1]}",
     ),
     "table_mesh_free": _small(
         "",

@@ -171,6 +171,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.network": (AS_CELL, "resolution: 8, cell: 5 mm", []),
     "write.view": (AS_CELL, "", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
+    "write.section": (AS_CELL, "pixels: 24", []),
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 

@@ -81,7 +81,7 @@ CASES = {
     "periodic_vs_stochastic": ["periodic_vs_stochastic", "-p", "cells=[4, 4, 4]"],
     "bunny": ["bunny", "-p", "mesh=KNOT"],
     "bunny, coarse": ["bunny", "-p", "mesh=KNOT", "-p", "voxels=50"],
-    "stiffness_map": ["stiffness_map", "-p", "pores=66", "--seed", "1"],
+    "stiffness_map": ["stiffness_map", "-p", "porosity=0.5", "--seed", "1"],
     "representative_volume": ["representative_volume", "-p", "samples=2", "-p", "assemblies=[1, 2]"],
     **{name: [name] for name in OWN},
 }

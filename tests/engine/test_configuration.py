@@ -23,6 +23,7 @@ ONE = "pipeline:\n  - {stage: read.number, value: 1}\n"
         ("sppm: 1\nname: x\n", "`pipeline` is missing", (1, 1)),
         ("sppm: 1\nafter: []\n" + ONE, "there is no `sweep`", (2, 1)),
         ("sppm: 1\nsweep: 3\n" + ONE, "`sweep` must be", (2, 8)),
+        ("sppm: 1\nnotes: [1]\n" + ONE, "`notes` must be a map", (2, 8)),
         ("sppm: 1\nplugins: [3]\n" + ONE, "path of a Python file", (2, 11)),
         ("sppm: 1\npipeline: []\n", "at least one stage", (2, 11)),
         ("sppm: 1\npipeline:\n  - {id: x}\n", "key `stage`", (3, 5)),
@@ -50,6 +51,11 @@ def test_name_and_seed_have_defaults(work):
     assert plan.name == "config"
     assert plan.seed == 0
     assert work.plan(ONE, seed=9).seed == 9
+
+
+def test_notes_enter_no_run(work):
+    plain, noted = (work.plan(ONE + notes) for notes in ("", "notes: {paper: [0.2, 0.5], text: '${none}'}\n"))
+    assert noted.document == plain.document
 
 
 def test_ids_default_to_names_and_are_numbered(work):

@@ -32,6 +32,7 @@ KEYS = {
     "after": "list of stages that run once after a sweep and may use its table",
     "audit": "fail (default) or warn: what becomes of a run whose results contradict each other or what was asked for",
     "folder": "folder that relative paths start from; the folder of this file if omitted",
+    "notes": "map for people and other programs; nothing of it enters a run",
 }
 AUDITS = ("fail", "warn")
 
@@ -157,6 +158,7 @@ def parse_configuration(root: Node, path: Path, base: str | Path) -> tuple[Confi
         sweep = None
     if "after" in top and "sweep" not in top:
         refuse("`after` runs after a sweep, but there is no `sweep`", top["after"].where)
+    value_of("notes", dict, "a map", {})
     plugins = []
     for node in value_of("plugins", list, "a list of Python files", []):
         if isinstance(node.value, str) and node.value:

@@ -49,6 +49,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "after": stages,
         "audit": {"enum": list(AUDITS)},
         "folder": {"type": "string"},
+        "notes": {"type": ["object", "null"]},
     }
     names = registry.sound()
     classes = [registry.get(name) for name in names]

@@ -7,6 +7,7 @@ from sppm_pipeline.nouns.viewers import Viewer
 
 STAGES = {
     "write.picture": "WritePicture",
+    "write.section": "WriteSection",
     "write.view": "WriteView",
     "write.chart": "WriteChart",
     "write.bars": "WriteBars",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +22,7 @@ from sppm_pipeline.services.grid import VOXEL_FACES, Grid
 if TYPE_CHECKING:
     from sppm_pipeline.features.browser.live.solid_view import Colors, Solid
     from sppm_pipeline.services.pictures.camera import Camera, Frame
-    from sppm_pipeline.services.pictures.shading import Background
+    from sppm_pipeline.services.pictures.shading import Background, Color
 
 MAX_SAMPLES = 64_000_000
 """Samples of a field for one picture; finer grids are coarsened, as no pixel would show the difference."""
@@ -39,6 +39,9 @@ _BOX_FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
      [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
+
+TILE_COLORS: tuple[Color, ...] = ((204, 64, 54), (58, 104, 196), (62, 150, 74))
+"""Red, blue and green as in the paper's figure of the tile set: the cut faces that show the first three face colors."""
 
 PHASE_COLORS = np.array(
     [(226, 216, 196), (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0)],
@@ -277,7 +280,10 @@ def tile_sheet(
     threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.uint8]:
-    """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities."""
+    """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities.
+
+    The cut faces of Wang tiles of up to three colors are red, blue or green.
+    """
     from sppm_pipeline.services.pictures.sheets import DARK_PAPER, INK, LIGHT_INK, PAPER, contact_sheet
 
     pictures, labels = [], []
@@ -286,7 +292,8 @@ def tile_sheet(
     for t in range(shown):
         colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
         scene = scene_of(tileset.micro.alone(t, colors), resolution, threads=threads)
-        pictures.append(scene.picture((300, 270), camera, background=background, threads=threads))
+        own = colors if tileset.kind == "wang" and c <= len(TILE_COLORS) else None
+        pictures.append(_tile_picture(scene, own, camera, background, threads))
         share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
         name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
         labels.append(name + share)
@@ -294,6 +301,36 @@ def tile_sheet(
     paper, ink = (DARK_PAPER, LIGHT_INK) if background == "dark" else (PAPER, INK)
     columns = 9 if len(pictures) > 16 else 4
     return contact_sheet(pictures, labels, columns=columns, background=paper, ink=ink)
+
+
+def _tile_picture(
+    scene: Scene, colors: tuple[int, int, int] | None, camera: Camera, background: Background, threads: int
+) -> NDArray[np.uint8]:
+    """A tile whose cut faces across each axis show a color: each is taken from a picture with cuts of its color."""
+    from PIL import Image, ImageDraw
+
+    from sppm_pipeline.services.pictures.camera import projected
+
+    size = (300, 270)
+    if colors is None:
+        return scene.picture(size, camera, background=background, threads=threads)
+    made = {
+        color: replace(scene, colors=scene.colors._replace(domain=TILE_COLORS[color])).picture(
+            size, camera, background=background, threads=threads
+        )
+        for color in set(colors)
+    }
+    frame, corners, picture = scene.frame(size, camera), scene.solid.vertices, made[colors[0]].copy()
+    for axis in range(3):
+        toward = frame.axes[2, axis]
+        end = corners[:, axis].max() if toward > 0 else corners[:, axis].min()
+        seen = projected(frame, corners[corners[:, axis] == end])[:, :2]
+        outline = [tuple(seen[place]) for place in (0, 1, 3, 2)]  # corners of a box are listed in binary order
+        mask = Image.new("1", size)
+        ImageDraw.Draw(mask).polygon(outline, fill=1)
+        there = np.asarray(mask)
+        picture[there] = made[colors[axis]][there]
+    return picture
 
 
 NOTEBOOK_SAMPLES = 1_500_000

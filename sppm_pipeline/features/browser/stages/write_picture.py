@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from sppm_pipeline import (
     ConfigError,
     Context,
     Palette,
+    PoreSet,
     ScalarField,
     Size,
     Stage,
     SurfaceMesh,
     TileSet,
+    TunnelGraph,
     Voxels,
     option,
     options,
 )
+from sppm_pipeline.features.browser.live.graph_picture import graph_shape
 from sppm_pipeline.features.browser.live.pictures import (
     MAX_SAMPLES,
     MAX_TILES,
@@ -26,14 +29,27 @@ from sppm_pipeline.features.browser.live.pictures import (
     tile_sheet,
     voxel_picture,
 )
+from sppm_pipeline.services.pictures.shading import CUT
 
 VALUES_OF_A_PIXEL = 15.5
 """Values of five bytes that are held for each pixel of the picture that is drawn, as measured."""
+
+CUTS = {"copper": CUT, "red": (204, 64, 54), "green": (62, 150, 74), "blue": (58, 104, 196)}
+"""Colors of planes by name."""
+
+TRIANGLES_OF_A_PORE, TRIANGLES_OF_A_TUNNEL = 320.0, 16.0
+"""Triangles of a ball, and of a rod."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WritePicture(Stage):
     """Render a mesh, a cell, a tiling, a part or voxels as PNG; a tile set becomes a sheet of all its tiles.
+
+    The cut faces of Wang tiles of up to three colors are red, blue and green, as their pattern of pores is the first,
+    second or third. Pores become balls and tunnels rods, within the frame of their cell: interior pores blue, those
+    of faces across x, y and z orange, green and pink on both sides, tunnels light blue, those between interior and
+    faces gray. The inner frame holds the interior pores. Of a tile set's pores those of the first tile are shown.
+    Give `from` to choose them.
 
     What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
     from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
@@ -42,7 +58,7 @@ class WritePicture(Stage):
 
     name: ClassVar[str] = "write.picture"
     advice: ClassVar[str] = "lower `resolution` or `image_size`"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ("removed_share",)
 
     path: str = options.write_path("picture.png", suffixes=(".png",))
@@ -52,12 +68,18 @@ class WritePicture(Stage):
     elevation: float = options.elevation(25.0)
     section: float | None = options.section(None)
     section_along: str = option("y", help="axis across which `section` cuts", choices=("x", "y", "z"))
+    cut: str = option("copper", help="color of the plane of `section`", choices=tuple(CUTS))
     annotate: bool = option(True, help="draw the directions of the axes and a scale bar; not on sheets of tiles")
     background: str = option("light", help="what is behind the part", choices=("light", "dark", "transparent"))
 
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
         tiles, held = 1.0, VALUES_OF_A_PIXEL * pixels
+        if what.geometry is None and not (what.triangles or what.voxels):  # pores, or tunnels between them
+            cell = what.design
+            shown = cell.interior_pores + 2 * cell.face_pores if cell else what.pores
+            triangles = TRIANGLES_OF_A_PORE * shown + TRIANGLES_OF_A_TUNNEL * (cell.tunnels if cell else what.tunnels)
+            return Size(pixels=pixels, triangles=triangles, resident=held)
         if what.triangles:
             return Size(pixels=pixels, triangles=what.triangles, resident=held)
         if what.voxels:
@@ -74,7 +96,7 @@ class WritePicture(Stage):
             pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples + held
         )
 
-    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:
+    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels | TunnelGraph | PoreSet) -> None:
         """Render and write."""
         from PIL import Image
 
@@ -90,6 +112,15 @@ class WritePicture(Stage):
                 threads=threads,
                 progress=lambda done, of: context.progress(done, of, "tiles drawn"),
             )
+        elif isinstance(what, (TunnelGraph, PoreSet)):
+            if self.section is not None:
+                raise ConfigError("`section` cuts solids, not pores and tunnels", hint="leave it out")
+            shape, cell = graph_shape(what), (what if isinstance(what, PoreSet) else what.pores).cell
+            picture = mesh_picture(
+                shape.vertices, shape.faces, self.image_size, camera, colors=shape.colors,
+                unit_mm=cell.edge if cell.physical else None, annotate=self.annotate, background=self.background,
+                threads=threads,
+            )  # fmt: skip
         elif isinstance(what, Voxels):
             picture = voxel_picture(
                 what, self.image_size, camera, section=self.section, section_along=self.section_along,
@@ -109,6 +140,7 @@ class WritePicture(Stage):
             scene = scene_of(what, self.resolution, threads=threads)
             if scene.removed_share:
                 context.report(removed_share=scene.removed_share)
+            scene = replace(scene, colors=scene.colors._replace(section=CUTS[self.cut]))
             picture = scene.picture(
                 self.image_size, camera, section=self.section, section_along=self.section_along,
                 annotate=self.annotate, background=self.background, threads=threads,

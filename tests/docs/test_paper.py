@@ -1,0 +1,122 @@
+"""Numbers of the docs are those of their runs: pages fit the stored numbers, and cheap rows come out again.
+
+If a page is stale, run ``python docs/generate_paper.py``; if a number has moved for a good reason,
+``python docs/generate_paper.py --run NAME``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.docs.conftest import script
+
+generator = script("generate_paper")
+NAMES = generator.RUN
+CHEAP = [name for name in NAMES if "cheap" in generator.notes_of(name)]
+DEAR = {"bunny"}
+"""Configurations of which no part is computed again: the mesh is not part of the repository."""
+
+
+def test_pages_are_those_of_the_stored_numbers() -> None:
+    assert generator.stale() == [], "run python docs/generate_paper.py"
+
+
+def test_every_result_is_computed_again() -> None:
+    assert set(NAMES) - set(CHEAP) == DEAR
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_numbers_come_out_again(name: str, tmp_path: Path) -> None:
+    assert generator.differences(name, tmp_path) == []
+
+
+def test_what_is_not_run_is_named() -> None:
+    """A configuration whose numbers are stored belongs on the page."""
+    assert [name for name in generator.NOT_RUN if generator.file_of(name).is_file()] == []
+
+
+def test_pictures_are_shown_and_small() -> None:
+    shown = {
+        generator.picture_of(name, panel)
+        for name in generator.PAPER
+        if name in NAMES
+        for panel in generator.notes_of(name).get("panels", ())
+    }
+    files = {path.name: path.stat().st_size for path in generator.PICTURES.glob("*.png")}
+    assert set(files) == shown
+    assert sum(files.values()) < 1_500_000
+
+
+def test_every_figure_says_what_the_paper_shows() -> None:
+    for name in generator.PAPER:
+        notes = generator.notes_of(name)
+        assert {"figure", "title", "paper"} <= set(notes), name
+        assert not notes["paper"].endswith("."), name
+        for entry in notes.get("numbers", ()):
+            assert ("paper" in entry) == ("within" in entry), (name, entry["says"])
+
+
+ROWS = [{"n": n, "kind": k, "y": y} for n, k, y in ((1, "a_x", 1.0), (1, "a_y", 3.0), (2, "b_x", 4.0), (2, "b_y", 8.0))]
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "error"),
+    [
+        ({}, 4.0, 2.943920 / 2),
+        ({"where": {"n": 1}}, 2.0, 1.0),
+        ({"where": {"kind": "b_*"}}, 6.0, 2.0),
+        ({"where": {"kind": "b_x"}}, 4.0, None),
+        ({"take": "largest"}, 8.0, None),
+        ({"take": "least"}, 1.0, None),
+        ({"take": "deviation", "where": {"n": 1}}, 2.0**0.5, None),
+        ({"take": "largest from mean", "over": "n"}, 2.0, None),
+        ({"over": "n"}, 2.5, 0.645497),
+    ],
+)
+def test_numbers_of_rows(entry: dict, value: float, error: float | None) -> None:
+    found = generator.measured(ROWS, {"column": "y", **entry})
+    assert found.value == pytest.approx(value)
+    assert found.error == (None if error is None else pytest.approx(error, rel=1e-6))
+
+
+def test_the_squared_correlation_of_means() -> None:
+    rows = [{"n": n, "y": y} for n, y in ((0, 0.0), (0, 2.0), (1, 2.0), (2, 6.0))]  # means 1, 2, 6
+    found = generator.measured(rows, {"column": "y", "take": "squared correlation", "over": "n"})
+    assert found.value == pytest.approx(25 / 28)
+
+
+@pytest.mark.parametrize(
+    ("value", "paper", "within", "said"),
+    [
+        (10, 10, 0, "yes"),
+        (11, 10, 0, "**no**"),
+        (10.9, 10, 0.1, "yes"),
+        (11.1, 10, 0.1, "**no**"),
+        (0.0005, [-0.001, 0.001], 0, "yes"),
+        (-0.002, [-0.001, 0.001], 0, "**no**"),
+    ],
+)
+def test_agreement_is_by_the_tolerance(value: float, paper: object, within: float, said: str) -> None:
+    assert generator.agreement(generator.Measured(value, None, 1), {"paper": paper, "within": within}) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [(0.19312, 0.00213, "0.1931 ± 0.0021"), (12.3, 1.7, "12.3 ± 1.7"), (27.0, None, "27"), (0.046123, None, "0.0461")],
+)
+def test_numbers_have_as_many_digits_as_their_errors(value: float, error: float | None, text: str) -> None:
+    assert generator.text_of(generator.Measured(value, error, 9)) == text
+
+
+def test_a_number_that_moves_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "paper/worked_example"
+    document = json.loads(generator.file_of(name).read_text(encoding="utf-8"))
+    document["rows"][0]["scores.T3"] = 12
+    changed: ModuleType = generator
+    monkeypatch.setattr(changed, "RESULTS", tmp_path)
+    changed.file_of(name).write_text(json.dumps(document), encoding="utf-8")
+    assert changed.differences(name, tmp_path) == ["paper/worked_example, row 0: scores.T3 is 11, 12 is stored"]
