@@ -46,29 +46,33 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline import pictures as pictures
     from sppm_pipeline import testing as testing
     from sppm_pipeline.engine.api.bound_stage import SppmWarning as SppmWarning
-    from sppm_pipeline.engine.api.functions import check as check
-    from sppm_pipeline.engine.api.functions import connect as connect
-    from sppm_pipeline.engine.api.functions import design as design
-    from sppm_pipeline.engine.api.functions import extract as extract
-    from sppm_pipeline.engine.api.functions import field as field
-    from sppm_pipeline.engine.api.functions import fill as fill
-    from sppm_pipeline.engine.api.functions import grade as grade
-    from sppm_pipeline.engine.api.functions import homogenize as homogenize
-    from sppm_pipeline.engine.api.functions import measure as measure
-    from sppm_pipeline.engine.api.functions import mesh as mesh
-    from sppm_pipeline.engine.api.functions import read as read
-    from sppm_pipeline.engine.api.functions import sample as sample
-    from sppm_pipeline.engine.api.functions import slice as slice
-    from sppm_pipeline.engine.api.functions import step as step
-    from sppm_pipeline.engine.api.functions import tile as tile
-    from sppm_pipeline.engine.api.functions import tileset as tileset
-    from sppm_pipeline.engine.api.functions import tune as tune
-    from sppm_pipeline.engine.api.functions import warp as warp
-    from sppm_pipeline.engine.api.functions import write as write
+    from sppm_pipeline.engine.api.bound_stage import register as register
+    from sppm_pipeline.engine.api.functions import param as param
     from sppm_pipeline.engine.api.pipeline import Pipeline as Pipeline
     from sppm_pipeline.engine.api.pipeline import load as load
     from sppm_pipeline.engine.api.pipeline import run as run
     from sppm_pipeline.engine.api.run import Run as Run
+    from sppm_pipeline.engine.api.stages import check as check
+    from sppm_pipeline.engine.api.stages import connect as connect
+    from sppm_pipeline.engine.api.stages import crush as crush
+    from sppm_pipeline.engine.api.stages import design as design
+    from sppm_pipeline.engine.api.stages import extract as extract
+    from sppm_pipeline.engine.api.stages import field as field
+    from sppm_pipeline.engine.api.stages import fill as fill
+    from sppm_pipeline.engine.api.stages import fix as fix
+    from sppm_pipeline.engine.api.stages import grade as grade
+    from sppm_pipeline.engine.api.stages import homogenize as homogenize
+    from sppm_pipeline.engine.api.stages import measure as measure
+    from sppm_pipeline.engine.api.stages import mesh as mesh
+    from sppm_pipeline.engine.api.stages import read as read
+    from sppm_pipeline.engine.api.stages import sample as sample
+    from sppm_pipeline.engine.api.stages import slice as slice
+    from sppm_pipeline.engine.api.stages import step as step
+    from sppm_pipeline.engine.api.stages import tile as tile
+    from sppm_pipeline.engine.api.stages import tileset as tileset
+    from sppm_pipeline.engine.api.stages import tune as tune
+    from sppm_pipeline.engine.api.stages import warp as warp
+    from sppm_pipeline.engine.api.stages import write as write
     from sppm_pipeline.engine.process import notify as notify
     from sppm_pipeline.engine.process import run_native as run_native
     from sppm_pipeline.engine.process.interruption import requested as _stop_requested
@@ -80,9 +84,6 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.errors import SppmError as SppmError
     from sppm_pipeline.features.grading.grader import Grader as Grader
     from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh as VolumeMesh
-    from sppm_pipeline.hookspecs import Command as Command
-    from sppm_pipeline.hookspecs import Comparison as Comparison
-    from sppm_pipeline.hookspecs import Preset as Preset
     from sppm_pipeline.hookspecs import hookimpl as hookimpl
     from sppm_pipeline.method.families import options as options
     from sppm_pipeline.method.families.connector import Connector as Connector
@@ -122,23 +123,43 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Recipe as Recipe
     from sppm_pipeline.stage import Rejected as Rejected
     from sppm_pipeline.stage import Stage as Stage
-    from sppm_pipeline.stage import StageAlias as StageAlias
     from sppm_pipeline.stage import option as option
 
     stop_requested = _stop_requested
+else:  # type checkers would take it for a promise of every name
+
+    def __getattr__(name: str) -> Any:
+        """Load a public name, a sub-face, or a family of stages of a plugin, when it is first used."""
+        from importlib import import_module
+        from importlib.util import find_spec
+
+        if name in _SUBFACES:
+            return import_module(f"{__name__}.{name}")
+        try:
+            return _load(name)
+        except AttributeError:
+            # modules are asked for here before they are looked for, and no family begins with a capital
+            if not name.islower() or name.startswith("_") or find_spec(f"{__name__}.{name}"):
+                raise
+            functions = import_module(f"{__name__}.engine.api.functions")
+            if name in functions.families():
+                return functions.family_of(name)
+            raise
+
 
 _PLACES = {
-    "engine.api.bound_stage": "SppmWarning",
-    "engine.api.functions": "check connect design extract field fill grade homogenize measure mesh read sample slice "
-    "step tile tileset tune warp write",
+    "engine.api.bound_stage": "SppmWarning register",
+    "engine.api.functions": "param",
     "engine.api.pipeline": "Pipeline load run",
     "engine.api.run": "Run",
+    "engine.api.stages": "check connect crush design extract field fill fix grade homogenize measure mesh read sample "
+    "slice step tile tileset tune warp write",
     "engine.process": "notify run_native",
     "engine.process.interruption": "stop_requested=requested",
     "errors": "ConfigError DesignError InputError PluginError ResourceError SppmError",
     "features.grading.grader": "Grader",
     "features.tetrahedra.volume_mesh": "VolumeMesh",
-    "hookspecs": "Command Comparison Preset hookimpl",
+    "hookspecs": "hookimpl",
     "method.families": "options",
     "method.families.connector": "Connector",
     "method.families.field_maker": "FieldMaker PartFieldMaker",
@@ -165,7 +186,7 @@ _PLACES = {
     "nouns.report": "Report number reports",
     "nouns.size": "RecipeSize Size",
     "nouns.table": "Table",
-    "stage": "Context Headline Recipe Rejected Stage StageAlias option",
+    "stage": "Context Headline Recipe Rejected Stage option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
 
@@ -221,15 +242,6 @@ def _hint(name: str, names: list[str]) -> str:
 
 
 __all__, _load, _ = lazily(__name__, _PLACES)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name or a sub-face when it is first used."""
-    if name in _SUBFACES:
-        from importlib import import_module
-
-        return import_module(f"{__name__}.{name}")
-    return _load(name)
 
 
 def __dir__() -> list[str]:

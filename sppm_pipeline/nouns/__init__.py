@@ -10,7 +10,7 @@ from sppm_pipeline import lazily
 
 TYPE_CHECKING = False  # as type checkers understand it
 if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
-    from sppm_pipeline.engine.api.functions import StageFunction as StageFunction
+    from sppm_pipeline.engine.api.bound_stage import BoundStage as BoundStage
     from sppm_pipeline.engine.process import ArraySpec as ArraySpec
     from sppm_pipeline.engine.process import NativeResult as NativeResult
     from sppm_pipeline.engine.process.interruption import Stop as Stop
@@ -24,6 +24,9 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.features.grading.maps import Grading as Grading
     from sppm_pipeline.features.grading.maps import Law as Law
     from sppm_pipeline.features.grading.maps import Place as Place
+    from sppm_pipeline.hookspecs import Command as Command
+    from sppm_pipeline.hookspecs import Comparison as Comparison
+    from sppm_pipeline.hookspecs import Preset as Preset
     from sppm_pipeline.hookspecs import StageEvent as StageEvent
     from sppm_pipeline.method.families.cloud import Cloud as Cloud
     from sppm_pipeline.method.families.cloud import Piece as Piece
@@ -64,9 +67,10 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.nouns.table import RunFile as RunFile
     from sppm_pipeline.nouns.viewers import Viewer as Viewer
     from sppm_pipeline.stage import Observed as Observed
+    from sppm_pipeline.stage import StageAlias as StageAlias
 
 _PLACES = {
-    "engine.api.functions": "StageFunction",
+    "engine.api.bound_stage": "BoundStage",
     "engine.process": "ArraySpec NativeResult",
     "engine.process.interruption": "Stop",
     "features.crushing.compression": "CompressionCurve CrushedBody",
@@ -75,7 +79,7 @@ _PLACES = {
     "features.flow.numerics.acoustics": "PoreParameters",
     "features.flow.permeability": "PermeabilityReport",
     "features.grading.maps": "CellFrame Grading Law Place",
-    "hookspecs": "StageEvent",
+    "hookspecs": "Command Comparison Preset StageEvent",
     "method.families.cloud": "Cloud Piece",
     "method.families.homogenizer": "VoxelCell",
     "method.families.interiors": "InteriorBox Interiors",
@@ -97,7 +101,7 @@ _PLACES = {
     "nouns.size": "CellDesign Geometry",
     "nouns.table": "RunFile",
     "nouns.viewers": "Viewer",
-    "stage": "Observed",
+    "stage": "Observed StageAlias",
 }
 """Modules below `sppm_pipeline`, and what is taken from each: ``name``, or ``public name=name there``."""
 

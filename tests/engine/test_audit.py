@@ -13,7 +13,8 @@ from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.hookspecs import Comparison
 
 AUDITOR = """
-from sppm_pipeline import Comparison, hookimpl
+from sppm_pipeline import hookimpl
+from sppm_pipeline.nouns import Comparison
 
 @hookimpl
 def sppm_audit(record):

@@ -86,7 +86,8 @@ def test_plugins_supply_presets_and_the_list_shows_them(tmp_path: Path, capsys: 
     plugin = tmp_path / "crystal.py"
     plugin.write_text(
         """
-from sppm_pipeline import Preset, hookimpl
+from sppm_pipeline import hookimpl
+from sppm_pipeline.nouns import Preset
 
 @hookimpl
 def sppm_presets():

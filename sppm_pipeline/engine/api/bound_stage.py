@@ -2,44 +2,70 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import os
 import shutil
+import sys
 import tempfile
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
-from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar, cast
 
+import sppm_pipeline
 from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
-from sppm_pipeline.engine.config.document import compose
-from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.config.problems import did_you_mean
+from sppm_pipeline.engine.config.document import Entry, compose
+from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option, with_current_names
+from sppm_pipeline.engine.config.problems import did_you_mean, raise_problems
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
-from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
+from sppm_pipeline.engine.plan.plugins import REGISTERED, allowed_plugins, load_plugins, register_stage
 from sppm_pipeline.engine.plan.ports import Port, fits, port_words, signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.run.runner import StepRunner, available_threads
-from sppm_pipeline.errors import ConfigError, WiringError
+from sppm_pipeline.errors import ConfigError, PluginError, WiringError
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.stage import Stage
 
 RECIPE = "recipe"
-"""Name of the recipe that a call is given."""
+"""Name of the recipe that a call is given; recipes inside of it are called ``recipe2``, ``recipe3``, ..."""
+
+Takes = TypeVar("Takes")
+Makes = TypeVar("Makes", covariant=True)
+
+_PACKAGE = os.path.dirname(str(sppm_pipeline.__file__)) + os.sep
+_PLACEHOLDER = "${"
 
 
 class SppmWarning(UserWarning):
-    """Something that does not stop a run, for instance tunnels that the resolution can't show."""
+    """Something that does not stop a run, for instance tunnels that the resolution can't show.
+
+    >>> import warnings, sppm_pipeline as sppm
+    >>> warnings.filterwarnings("ignore", category=sppm.SppmWarning, message="nothing says so")
+    """
 
 
 class WarningMonitor(Monitor):
-    """Turns what a run warns of into Python's warnings."""
+    """Turns what a run warns of into Python's warnings, at the line of the caller outside of this package."""
+
+    def __init__(self) -> None:
+        frame = sys._getframe(1)
+        # here and not in `warning`, which threads of the run call
+        while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+            frame = frame.f_back
+        self._file, self._line = frame.f_code.co_filename, frame.f_lineno
+        self._module = str(frame.f_globals.get("__name__", "__main__"))
+        self._registry = frame.f_globals.setdefault("__warningregistry__", {})
 
     def warning(self, stage: str | None, message: str) -> None:
         """See `Monitor.warning`."""
-        warnings.warn(f"{stage}: {message}" if stage else message, SppmWarning, stacklevel=2)
+        text = f"{stage}: {message}" if stage else message
+        warnings.warn_explicit(text, SppmWarning, self._file, self._line, self._module, self._registry)
 
 
 class MissingSeed(int):
@@ -49,56 +75,227 @@ class MissingSeed(int):
         raise ConfigError("this stage draws random numbers, but has no seed", hint="give a seed, for example seed=1")
 
 
-@cache
+_LOADED: list[tuple[object, Registry]] = []
+
+
 def registry() -> Registry:
-    """All stages of the program and of installed plugins."""
-    plugins = load_plugins(distributions=True, allowed=allowed_plugins())
-    plugins.raise_broken()
-    return Registry(plugins)
+    """All stages of the program, of installed plugins, and those that this process has registered."""
+    known = tuple(REGISTERED.stages.items())
+    if not _LOADED or _LOADED[0][0] != known:
+        plugins = load_plugins(distributions=True, allowed=allowed_plugins())
+        plugins.raise_broken()
+        _LOADED[:] = [(known, Registry(plugins))]
+    return _LOADED[0][1]
 
 
-def entry_of(stage: str | Mapping[str, Any] | BoundStage) -> str | dict[str, Any]:
-    """A stage of a pipeline or recipe as a configuration holds it."""
-    if isinstance(stage, BoundStage):
-        if stage.recipe is not None:
+C = TypeVar("C", bound=type[Stage])
+
+
+def register(cls: C) -> C:
+    """Make a class of stages known to this process: its function is there at once, and recipes may name it.
+
+    Stages of the class can stand in recipes and pipelines without this. What a notebook defines is not kept between
+    runs, as no file says what it does; a class registered again replaces the earlier one.
+
+    Parameters
+    ----------
+    cls : subclass of Stage
+
+    Returns
+    -------
+    type
+        `cls`, so that this can decorate it.
+
+    Raises
+    ------
+    PluginError
+        If the class breaks the contract of stages, or another plugin supplies one of this name.
+
+    Examples
+    --------
+    >>> import sppm_pipeline as sppm
+    >>> from dataclasses import dataclass
+    >>> @sppm.register
+    ... @dataclass(frozen=True, kw_only=True)
+    ... class Grid(sppm.Sampler):
+    ...     "Pores on a grid."
+    ...     name = "sample.grid_of_eight"
+    ...     draws = False
+    ...     def throw(self, rng, box):
+    ...         import numpy as np
+    ...         return (np.indices((2, 2, 2)).reshape(3, -1).T + 0.5) / 2
+    >>> len(sppm.sample.grid_of_eight().centers)
+    8
+    """
+    before = REGISTERED.stages.get(getattr(cls, "name", ""))
+    name = register_stage(cls)
+    try:
+        registry().get(name)
+    except PluginError:
+        del REGISTERED.stages[name]
+        if before is not None:
+            REGISTERED.stages[name] = before
+        raise
+    return cls
+
+
+def entries_of(stages: Iterable[Any], recipes: dict[str, Any], base: str = RECIPE) -> list[Any]:
+    """Stages of a pipeline or recipe as a configuration holds them.
+
+    The recipes that they hold themselves, at any depth, are added to `recipes` under names that are free.
+    """
+    return [_entry_of(stage, recipes, base) for stage in stages]
+
+
+def _entry_of(stage: Any, recipes: dict[str, Any], base: str) -> Any:
+    if isinstance(stage, Artifact):
+        # a call that needed nothing has run where it was written; in a list it is the step again
+        made_by = vars(stage).get(_MADE_BY)
+        if made_by is None:
             raise ConfigError(
-                f"{stage.name} holds a recipe of its own", hint="name it: recipe='NAME' and recipes={'NAME': [...]}"
+                f"a recipe or pipeline is a list of stages, got the result {type(stage).__name__}",
+                hint="write the call itself into the list, without a seed and without artifacts",
             )
-        return {"stage": stage.name, **stage.options}
-    return stage if isinstance(stage, str) else dict(stage)
+        stage = made_by
+    if isinstance(stage, Stage):
+        cls = type(stage)
+        if not _is_known(cls):
+            register(cls)
+        given = {name: (getattr(stage, name), option.default) for name, option in options_of(cls).items()}
+        return {"stage": cls.name, **{name: plain_option(one) for name, (one, usual) in given.items() if one != usual}}
+    if not isinstance(stage, BoundStage):
+        if isinstance(stage, (str, Mapping)):
+            return stage if isinstance(stage, str) else dict(stage)
+        raise ConfigError(
+            f"a recipe or pipeline is a list of stages, got {type(stage).__name__}",
+            hint="sppm.FAMILY.NAME(...), an object of a subclass of Stage, a name, or a mapping as in YAML",
+        )
+    entry: dict[str, Any] = {"stage": stage.name}
+    entry |= {key: value for key, value in (("id", stage.id), ("from", stage.sources)) if value is not None}
+    if stage.recipe is not None:
+        entry["recipe"] = _recipe_name(stage, recipes, base)
+    return {**entry, **stage.options}
+
+
+def _is_known(cls: type[Stage]) -> bool:
+    known = registry()
+    return cls.name in known and known.get(cls.name) is cls
+
+
+def _recipe_name(stage: BoundStage[Any, Any], recipes: dict[str, Any], base: str) -> Any:
+    """The name of a recipe that a stage holds, which is put among `recipes`; a name or mapping of names as it is."""
+    recipe = stage.recipe
+    if isinstance(recipe, (str, Mapping)):
+        return recipe
+    free = (base if number == 1 else f"{base}{number}" for number in itertools.count(1))
+    name = next(name for name in free if name not in recipes)
+    recipes[name] = []  # taken before those inside of it
+    recipes[name] = entries_of(cast("Sequence[Any]", recipe), recipes, base)
+    return name
+
+
+_MADE_BY = "_made_by"
+
+
+def _is_open(value: Any) -> bool:
+    """Whether a parameter stands for an option, or for a part of it."""
+    if isinstance(value, BoundStage):
+        return value.is_open
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
+    if isinstance(value, (list, tuple)):
+        return any(map(_is_open, value))
+    return isinstance(value, str) and _PLACEHOLDER in value
 
 
 @dataclass(frozen=True)
-class BoundStage:
-    """A stage with its options set; call it with artifacts.
+class BoundStage(Generic[Takes, Makes]):
+    """A step: a stage with its options set. It stands in recipes and pipelines, and runs when it is called.
+
+    Type checkers know what it takes and makes: ``BoundStage[TunnelGraph, Microstructure]``.
 
     Attributes
     ----------
     name : str
     options : mapping of option name to value
-    recipe : sequence of stages, name of a preset, or None
+    recipe : sequence of stages, name of a preset or of a recipe of the pipeline, or None
         What the stage repeats.
+    id : str or None
+        Its name in a pipeline.
+    sources : str, sequence, mapping or None
+        What it takes in a pipeline, as ``from`` in YAML.
+
+    Examples
+    --------
+    >>> import sppm_pipeline as sppm
+    >>> throw = sppm.sample.dart_throwing(count=9, spacing=0.2)
+    >>> throw
+    <step sample.dart_throwing(count=9, spacing=0.2)>
+    >>> len(throw(seed=1).centers)
+    9
     """
 
     name: str
     options: Mapping[str, Any] = dataclass_field(default_factory=dict)
-    recipe: Sequence[Any] | str | None = None
+    recipe: Sequence[Any] | Mapping[str, Any] | str | None = None
+    id: str | None = None
+    sources: str | Sequence[str] | Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        """Check the options, as they are known."""
+        """Check the options, as far as they are known."""
         cls = registry().get(self.name)
+        _check_recipe(self)
+        if self.is_open:
+            self._check_what_is_written(cls)
+            return
         needed = [port for port in signature_of(cls).ports if not (port.is_recipe or port.optional)]
         # planned with stand-ins for the artifacts, so that wrong options are refused at once and not at the call
         self._plan({port.place(0) if port.many else port.name: port.types for port in needed})
 
+    @property
+    def is_open(self) -> bool:
+        """Whether parameters, or recipes that only a pipeline knows, stand in it or in its recipe."""
+        named = isinstance(self.recipe, Mapping) or (
+            isinstance(self.recipe, str) and self.recipe not in registry().presets
+        )
+        return named or _is_open(self.options) or _is_open(self.recipe)
+
+    def _check_what_is_written(self, cls: type[Stage]) -> None:
+        where = f"sppm.{self.name}"
+        root = compose({"options": dict(self.options)}, where)
+        given: dict[str, Entry] = root.value["options"].node.value
+        (given, _), problems = with_current_names(cls, given, stage=self.name)
+        put = {name for name, entry in given.items() if _is_open(self.options.get(name, entry.node.value))}
+        known = {name: entry for name, entry in given.items() if name not in put or name not in options_of(cls)}
+        _, unfit = parse_options(cls, known, root.where, lambda _: Path.cwd(), stage=self.name)
+        # what a parameter stands for is not missing
+        missing = tuple(f"the option {name!r} is missing" for name in put)
+        raise_problems([*problems, *(one for one in unfit if not one.message.startswith(missing or "\0"))])
+
+    def __repr__(self) -> str:
+        words = [f"{key}={value!r}" for key, value in (("id", self.id), *self.options.items()) if value is not None]
+        if self.recipe is not None:
+            words.append("recipe=" + (repr(self.recipe) if isinstance(self.recipe, str) else "[...]"))
+        return f"<step {self.name}({', '.join(words)})>"
+
+    def __getattr__(self, name: str) -> Any:
+        message = f"a step has no attribute {name!r}"
+        if not name.startswith("_"):
+            message = f"{self.name}(...) is a step and has not run, so that it has no {name!r}; {self._how_to_run()}"
+        raise AttributeError(message)
+
+    def _how_to_run(self) -> str:
+        needed = [port.name for port in signature_of(registry().get(self.name)).ports if not _waits_for_nothing(port)]
+        return f"call it with {', '.join(needed)}" if needed else f"give it a seed: sppm.{self.name}(..., seed=1)"
+
     def __call__(
         self,
-        *artifacts: Any,
+        *artifacts: Takes,
         seed: int | None = None,
         threads: int | None = None,
         output: str | Path = ".",
-        **ports: Any,
-    ) -> Any:
+        **ports: Takes,
+    ) -> Makes:
         """Run the stage.
 
         Parameters
@@ -125,9 +322,12 @@ class BoundStage:
             As in a pipeline.
         """
         made, entry = self._run(self._by_port(artifacts, ports), seed, threads, Path(output))
-        if made is not None:
-            return made
-        return [Path(output, out["path"]) for out in entry["outputs"]] if "outputs" in entry else entry["summary"]
+        if made is None:
+            made = [Path(output, out["path"]) for out in entry["outputs"]] if "outputs" in entry else entry["summary"]
+        elif not artifacts and not ports and seed is None and isinstance(made, Artifact):
+            with contextlib.suppress(AttributeError):  # of a class with slots
+                object.__setattr__(made, _MADE_BY, self)
+        return cast("Makes", made)
 
     def report(
         self, *artifacts: Any, seed: int | None = None, threads: int | None = None, **ports: Any
@@ -151,6 +351,10 @@ class BoundStage:
                     if not fits((type(artifact),), port):
                         raise _unfit(self.name, artifact, [port])
         for artifact in artifacts:
+            if isinstance(artifact, BoundStage):
+                raise WiringError(
+                    f"{self.name} takes artifacts, and {artifact.name}(...) has not run", hint=artifact._how_to_run()
+                )
             # a port given by name takes no artifact by type
             left = [port for port in ports if port.name not in named and (port.many or port.name not in taken)]
             # in the order of the signature, so that two artifacts of a type go to the first and the second port
@@ -180,16 +384,10 @@ class BoundStage:
                 else:
                     sources[port] = place
         document: dict[str, Any] = {"sppm": FORMAT, "pipeline": [entry]}
-        if isinstance(self.recipe, str):
-            entry["recipe"] = self.recipe
-        elif self.recipe is not None:
-            if isinstance(self.recipe, (Mapping, BoundStage)) or not isinstance(self.recipe, Iterable):
-                raise ConfigError(
-                    f"the recipe of {self.name} must be a list of stages, got one {type(self.recipe).__name__}",
-                    hint="recipe=[sppm.step.FAMILY.NAME(...), ...], or the name of a preset",
-                )
-            entry["recipe"] = RECIPE
-            document["recipes"] = {RECIPE: [entry_of(stage) for stage in self.recipe]}
+        if self.recipe is not None:
+            recipes: dict[str, Any] = {}
+            entry["recipe"] = _recipe_name(self, recipes, RECIPE)
+            document |= {"recipes": recipes} if recipes else {}
         # stands where messages have the file
         where = f"sppm.{self.name}"
         configuration, _ = parse_configuration(compose(document, where), Path(where), Path.cwd())
@@ -231,6 +429,21 @@ class BoundStage:
             finally:
                 if runs is not None:
                     runs.discard()
+
+
+def _waits_for_nothing(port: Port) -> bool:
+    return port.is_recipe or port.optional
+
+
+def _check_recipe(step: BoundStage[Any, Any]) -> None:
+    recipe = step.recipe
+    if recipe is None or isinstance(recipe, (str, list, tuple)) or (isinstance(recipe, Mapping) and "stage" not in recipe):
+        return
+    if isinstance(recipe, (Mapping, BoundStage, Artifact)) or not isinstance(recipe, Iterable):
+        raise ConfigError(
+            f"the recipe of {step.name} must be a list of stages, got one {type(recipe).__name__}",
+            hint="recipe=[sppm.FAMILY.NAME(...), ...], or the name of a preset",
+        )
 
 
 def _unfit(stage: str, artifact: Any, ports: Sequence[Port]) -> WiringError:

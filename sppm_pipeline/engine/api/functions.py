@@ -1,81 +1,83 @@
 """Stages as functions, under the names that they have in YAML.
 
-``sppm.sample.dart_throwing(count=40, spacing=0.2, seed=1)`` checks the options as a file's are checked, and runs the
-stage if all that it needs is there. Otherwise it returns the stage with its options set, to be called with artifacts:
-``sppm.field.gaussian(level=0.25)(graph)``. Random numbers are those of a pipeline with the same seed in which the stage
-has its default id.
+A call checks the options as a file's are checked. It runs the stage if it is given all that the stage needs: artifacts
+for its ports, and a seed if it draws random numbers. Otherwise it is a step: it stands in recipes and pipelines, and
+runs when it is called with the rest::
+
+    pores = sppm.sample.dart_throwing(count=40, spacing=0.2, seed=1)
+    throw = sppm.sample.dart_throwing(count=40, spacing=0.2)
+    cell = sppm.field.gaussian(level=0.25)(graph)
+
+Random numbers are those of a pipeline with the same seed in which the stage has its default id.
 """
 
 from __future__ import annotations
 
 import inspect
+import textwrap
+import types
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.api.bound_stage import BoundStage, registry
-from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.plan.ports import signature_of
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.engine.config.options import allowed_words, options_of
+from sppm_pipeline.engine.plan.describe import default_words, makes_words
+from sppm_pipeline.engine.plan.ports import port_words, signature_of
+from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.stage import FAMILIES, Stage
 
+OF_STEPS = ("id", "sources")
+OF_RUNS = ("seed", "threads", "output")
 
-class StageFunction:
-    """A stage as a function; its keywords are the stage's options."""
 
-    def __init__(self, name: str) -> None:
-        cls = registry().get(name)
-        self.name = cls.name
-        self.__name__ = name.partition(".")[2]
-        self.__doc__ = inspect.getdoc(cls)
-        self.__signature__ = _signature(cls)
+def make_function(stage: str, *, runs: bool = True) -> Callable[..., Any]:
+    """The function of a stage; without `runs` every call of it is a step."""
+    return _function(registry().get(stage), runs)
 
-    def __repr__(self) -> str:
-        return f"<stage {self.name}>"
 
-    def __call__(
-        self,
-        *artifacts: Any,
-        recipe: Sequence[Any] | str | None = None,
-        seed: int | None = None,
-        threads: int | None = None,
-        output: str | Path | None = None,
-        **options: Any,
-    ) -> Any:
-        """Set options, and run the stage if all that it needs is there; see `BoundStage`.
+@cache
+def _function(cls: type[Stage], runs: bool) -> Callable[..., Any]:
+    """One for each class, so that a class that is registered again gets its own."""
 
-        Parameters
-        ----------
-        *artifacts
-            What the stage takes.
-        recipe : sequence of stages, or name of a preset, optional
-            What the stage repeats: calls without artifacts, entries made with `step`, names, or mappings as in YAML.
-        seed, threads, output
-            As for `BoundStage`.
-        **options
-            Options of the stage, and ports by name.
-        """
-        ports = [port for port in signature_of(registry().get(self.name)).ports if not port.is_recipe]
-        if not ports and artifacts:
-            # the likeliest mistake is an option given by position
-            first = next(iter(options_of(registry().get(self.name))), None)
+    def call(*artifacts: Any, **given: Any) -> Any:
+        return _called(cls, runs, artifacts, given)
+
+    # what `help`, notebooks and editors read
+    call.__module__ = "sppm_pipeline" if runs else "sppm_pipeline.step"
+    call.__qualname__ = cls.name
+    call.__name__ = cls.name.partition(".")[2]
+    call.__doc__ = _documentation(cls)
+    call.__signature__ = _signature(cls)  # type: ignore[attr-defined]
+    return call
+
+
+def _called(cls: type[Stage], runs: bool, artifacts: Sequence[Any], given: dict[str, Any]) -> Any:
+    ports = [port for port in signature_of(cls).ports if not port.is_recipe]
+    if not ports and artifacts:
+        # the likeliest mistake is an option given by position
+        first = next(iter(options_of(cls)), None)
+        raise ConfigError(
+            f"{cls.name} takes no artifacts, got {type(artifacts[0]).__name__}",
+            hint=f"options are given by name, for example {first}=..." if first else "leave it out",
+        )
+    named = {port.name: given.pop(port.name) for port in ports if port.name in given}
+    for_run = {name: value for name in OF_RUNS if (value := given.pop(name, None)) is not None}
+    as_step = {name: given.pop(name, None) for name in OF_STEPS}
+    recipe = given.pop("recipe", None)
+    bound: BoundStage[Any, Any] = BoundStage(cls.name, given, recipe, **as_step)
+    if runs and not any(value is not None for value in as_step.values()):
+        waits = not all(port.optional for port in ports) or "seed" not in for_run and (cls.draws or recipe is not None)
+        if artifacts or named or not (waits or bound.is_open):
+            return bound(*artifacts, **for_run, **named)
+    for name, value in {**for_run, **named, "artifacts": artifacts or None}.items():
+        if value is not None:
             raise ConfigError(
-                f"{self.name} takes no artifacts, got {type(artifacts[0]).__name__}",
-                hint=f"options are given by name, for example {first}=..." if first else "leave it out",
+                f"{cls.name} needs artifacts before it can run" if runs else f"{cls.name} is a step here, and runs later",
+                hint=f"sppm.{cls.name}(...)(artifact, {name}=...): `{name}` belongs to the second call",
             )
-        named = {port.name: options.pop(port.name) for port in ports if port.name in options}
-        bound = BoundStage(self.name, options, recipe)
-        # without required ports there is nothing to wait for
-        if artifacts or named or all(port.optional for port in ports):
-            folder = "." if output is None else output
-            return bound(*artifacts, seed=seed, threads=threads, output=folder, **named)
-        for name, value in (("seed", seed), ("threads", threads), ("output", output)):
-            if value is not None:
-                raise ConfigError(
-                    f"{self.name} needs artifacts before it can run",
-                    hint=f"sppm.{self.name}(...)(artifact, {name}=...): `{name}` belongs to the second call",
-                )
-        return bound
+    return bound
 
 
 def _signature(cls: type[Stage]) -> inspect.Signature:
@@ -92,49 +94,75 @@ def _signature(cls: type[Stage]) -> inspect.Signature:
         )
         for name, option in options_of(cls).items()
     ]
+    recipe = ["recipe"] if any(port.is_recipe for port in signature_of(cls).ports) else []
+    parameters += [kind(name, kind.KEYWORD_ONLY, default=None) for name in (*recipe, *OF_RUNS, *OF_STEPS)]
     return inspect.Signature(parameters)
 
 
-def _entry(name: str) -> Callable[..., dict[str, Any]]:
-    def entry(
-        *,
-        id: str | None = None,
-        sources: str | Sequence[str] | Mapping[str, Any] | None = None,
-        recipe: Any = None,
-        **options: Any,
-    ) -> dict[str, Any]:
-        reserved = {"id": id, "from": sources, "recipe": recipe}
-        return {"stage": name, **{key: value for key, value in reserved.items() if value is not None}, **options}
+def _documentation(cls: type[Stage]) -> str:
+    """The docstring of a stage with its ports, and with its options: type, unit, bounds, default and what each is."""
+    lines = [inspect.getdoc(cls) or "", "", "Parameters", "----------"]
+    for port in signature_of(cls).ports:
+        words = "sequence of steps, or name of a preset" if port.is_recipe else port_words(port)
+        lines.append(f"{'recipe' if port.is_recipe else port.name} : {words}{', optional' if port.optional else ''}")
+    for option in options_of(cls).values():
+        default = "required" if option.required else f"default {default_words(option)}"
+        lines += [f"{option.name} : {allowed_words(option)}; {default}", *textwrap.wrap(
+            option.spec.help, 100, initial_indent="    ", subsequent_indent="    "
+        )]  # fmt: skip
+    makes = makes_words(cls)
+    if makes == "nothing":
+        writes = any(option.spec.output for option in options_of(cls).values())
+        makes = "paths of the files written, a list of Path" if writes else "the numbers that it reports, a dict"
+    lines += ["seed, threads, output", "    Of a run, see `sppm_pipeline.nouns.BoundStage`.", "id, sources",
+              "    Of a step in a pipeline: its name, and what it takes.", "", "Returns", "-------", makes]  # fmt: skip
+    if any(not (port.is_recipe or port.optional) for port in signature_of(cls).ports):
+        lines.append("    Without artifacts the step, which is called with them.")
+    elif cls.draws or any(port.is_recipe for port in signature_of(cls).ports):
+        lines.append("    Without a seed the step, for a recipe or pipeline.")
+    return "\n".join(lines)
 
-    entry.__doc__ = f"An entry of a pipeline or recipe: {name} with options, id, `sources` (from) and recipe."
-    return entry
 
-
-class Family:
-    """The stages of a family as attributes; `make` makes one from a stage's full name."""
+class Family(types.ModuleType):
+    """The stages of a family as functions; a module, so that help and completion know what to do with it."""
 
     def __init__(self, name: str, make: Callable[[str], Any]) -> None:
-        self._name = name
-        self._make = make
-        self.__doc__ = f"Stages of the family {name}: {FAMILIES.get(name, 'of a plugin')}."
+        super().__init__(f"sppm_pipeline.{name}", f"Stages of the family {name}: {FAMILIES.get(name, 'of a plugin')}.")
 
-    def __getattr__(self, word: str) -> Any:
-        # inspection asks for such names, and must not load all plugins
-        if word.startswith("_"):
-            raise AttributeError(word)
-        try:
-            # now, so that a misspelled stage is an AttributeError here and not an error of a later call
-            registry().get(f"{self._name}.{word}")
-        except ConfigError as error:
-            # as `hasattr` and completion expect
-            raise AttributeError(str(error)) from None
-        return self._make(f"{self._name}.{word}")
+        def load(word: str) -> Any:
+            # inspection asks for such names, and must not load all plugins
+            if word == "__all__":
+                return names()
+            if word.startswith("_"):
+                raise AttributeError(word)
+            try:
+                # now, so that a misspelled stage is an AttributeError here and not an error of a later call
+                return make(f"{name}.{word}")
+            except ConfigError as error:
+                # as `hasattr` and completion expect
+                raise AttributeError(str(error)) from None
 
-    def __dir__(self) -> list[str]:
-        return [name.partition(".")[2] for name in registry() if name.startswith(f"{self._name}.")]
+        def names() -> list[str]:
+            return [word for stage in _sound(name) if (word := stage.partition(".")[2]).isidentifier()]
+
+        # of the module and not of the class, which completion trusts
+        self.__dict__.update(__getattr__=load, __dir__=names)
 
     def __repr__(self) -> str:
-        return f"<stages {self._name}: {', '.join(dir(self))}>"
+        return f"<stages {self.__name__.partition('.')[2]}: {', '.join(dir(self))}>"
+
+
+def _sound(family: str) -> list[str]:
+    """Stages of a family that can be loaded."""
+    known, found = registry(), []
+    for name in known:
+        if name.startswith(f"{family}."):
+            try:
+                known.get(name)
+            except PluginError:
+                continue
+            found.append(name)
+    return found
 
 
 class CheckFamily(Family):
@@ -143,33 +171,68 @@ class CheckFamily(Family):
     def __call__(
         self, config: Any, *, params: Mapping[str, Any] | None = None, set: Mapping[str, Any] | None = None
     ) -> tuple[str, ...]:
-        """Check a configuration or `Pipeline` without running it; see `Pipeline.check`."""
+        """Check a configuration or `Pipeline` without running it; see `Pipeline.check`.
+
+        Examples
+        --------
+        >>> import sppm_pipeline as sppm
+        >>> sppm.check("quickstart")
+        ()
+        """
         from sppm_pipeline.engine.api.pipeline import pipeline_of
 
         return pipeline_of(config).with_(params, set=set).check()
 
 
-class Steps:
-    """Entries of pipelines: ``step.sample.dart_throwing(total=66, id="pores")``, by family and name."""
+@cache
+def family_of(name: str) -> Family:
+    """A family of stages, by its name.
 
-    def __getattr__(self, family: str) -> Family:
-        if family not in FAMILIES and not any(name.startswith(f"{family}.") for name in registry()):
-            raise AttributeError(family)
-        return Family(family, _entry)
+    Raises
+    ------
+    AttributeError
+        If no stage has such a name.
+    """
+    if name not in FAMILIES and not (name.isidentifier() and any(one.startswith(f"{name}.") for one in registry())):
+        raise AttributeError(f"no family of stages is called {name!r}")
+    return (CheckFamily if name == "check" else Family)(name, make_function)
 
-    def __dir__(self) -> list[str]:
-        return list(FAMILIES)
+
+def families() -> list[str]:
+    """All families of which there are stages."""
+    return list(dict.fromkeys(name.partition(".")[0] for name in registry()))
 
 
-step = Steps()
-check = CheckFamily("check", StageFunction)
-(
-    connect, design, extract, field, fill, grade, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune,
-    warp, write,
-) = (
-    Family(name, StageFunction)
-    for name in (
-        "connect", "design", "extract", "field", "fill", "grade", "homogenize", "measure", "mesh", "read", "sample",
-        "slice", "tile", "tileset", "tune", "warp", "write",
-    )
-)  # fmt: skip
+def step_families() -> types.ModuleType:
+    """The namespace ``sppm.step``: all families, in which every call is a step."""
+
+    def load(name: str) -> Family:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        family_of(name)
+        found = Family(name, lambda stage: make_function(stage, runs=False))
+        setattr(steps, name, found)
+        return found
+
+    about = "Stages whose calls are steps, whatever they are given: ``step.read.primitive(shape='ball', size='2 mm')``."
+    steps = types.ModuleType("sppm_pipeline.step", about)
+    steps.__dict__.update(__getattr__=load, __dir__=families)
+    return steps
+
+
+def param(name: str) -> Any:
+    """A parameter of a pipeline as the value of an option, ``"${name}"`` in YAML; type checkers let it pass anywhere.
+
+    Parameters
+    ----------
+    name : str
+
+    Examples
+    --------
+    >>> import sppm_pipeline as sppm
+    >>> sppm.tune.porosity(target=sppm.param("porosity"), recipe="paper")
+    <step tune.porosity(target='${porosity}', recipe='paper')>
+    """
+    if not name.isidentifier():
+        raise ConfigError(f"a parameter is named by a word, got {name!r}")
+    return f"${{{name}}}"

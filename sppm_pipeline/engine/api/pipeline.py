@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.api.bound_stage import entry_of
+from sppm_pipeline.engine.api.bound_stage import entries_of
 from sppm_pipeline.engine.api.run import Run
 from sppm_pipeline.engine.cache.housekeeping import cache_folder
 from sppm_pipeline.engine.config.configuration import FORMAT
@@ -35,8 +35,8 @@ class Pipeline:
     Parameters
     ----------
     stages : sequence of stages, or str or Path
-        A file, the name of a packaged example or YAML, as `from_yaml` takes it; or a list of entries made with `step`,
-        calls of stages without artifacts, names, or mappings as in YAML.
+        A file, the name of a packaged example or YAML, as `from_yaml` takes it; or a list of steps, objects of
+        subclasses of `Stage`, names, or mappings as in YAML. Steps may hold their recipes.
     recipes : mapping of name to sequence of stages, or to ``{"preset": NAME, ...}``, optional
         Lists of stages that others repeat.
     params : mapping of name to value, optional
@@ -73,12 +73,14 @@ class Pipeline:
             document["params"] = dict(params)
         if plugins:
             document["plugins"] = [str(path) for path in plugins]
-        if recipes:
-            document["recipes"] = {
-                key: dict(group) if isinstance(group, Mapping) else [entry_of(stage) for stage in group]
-                for key, group in recipes.items()
-            }
-        document["pipeline"] = [entry_of(stage) for stage in stages]
+        # their names are taken before those of recipes inside of stages are chosen
+        lists: dict[str, Any] = dict.fromkeys(recipes or {})
+        for key, group in (recipes or {}).items():
+            lists[key] = dict(group) if isinstance(group, Mapping) else entries_of(group, lists, key)
+        entries = entries_of(stages, lists)
+        if lists:
+            document["recipes"] = lists
+        document["pipeline"] = entries
         allowed = allowed_plugins()
         # a caller who names files in Python runs code anyway
         self._request = RunRequest(name, document=document, folder=os.getcwd(), allowed=allowed, trusted=True)

@@ -52,6 +52,15 @@ def code_of(cls: type[Stage], owner: Plugin) -> dict[str, Any]:
     return {"supplier": supplier, "version": owner.version, "digest": digest}
 
 
+def has_files(cls: type[Stage]) -> bool:
+    """Whether files hold the code of a stage: what a notebook defines is in none, and may change unseen."""
+    return all(getattr(sys.modules.get(c.__module__), "__file__", None) for c in cls.__mro__[:-1] if not _standard(c))
+
+
+def _standard(cls: type) -> bool:
+    return cls.__module__.partition(".")[0] in sys.stdlib_module_names - {"__main__"}
+
+
 @functools.cache
 def _source_of(module: str) -> str:
     """Digest of a module's own package; empty for the standard library, whose version is that of Python."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.cache.identity import code_of, environment
+from sppm_pipeline.engine.cache.identity import code_of, environment, has_files
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.planning import Plan, step_options
 from sppm_pipeline.engine.plan.wiring import Step
@@ -89,7 +89,7 @@ def _described(
 ) -> dict[str, Any] | None:
     """Stage, version, code, options, input files and recipes; the step and those of its recipes are added to `used`."""
     stage = step.stage
-    if not stage.cacheable:
+    if not (stage.cacheable and has_files(type(stage))):
         return None
     used.append(step)
     options = step_options(step)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.cache.housekeeping import account
+from sppm_pipeline.engine.cache.identity import has_files
 from sppm_pipeline.engine.cache.keys import InputFiles, differences, ingredients_of, key_of
 from sppm_pipeline.engine.cache.store import Entry, Store
 from sppm_pipeline.engine.plan.planning import Plan
@@ -315,7 +316,9 @@ def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, st
             continue
         now = cache.ingredients(step.id)
         again = [source for source in step.inputs.values() if source and not found[source][0]]
-        if not step.stage.cacheable:
+        if not has_files(type(step.stage)):
+            why = "it runs every time, as no file holds its code"
+        elif not step.stage.cacheable:
             why = "it runs every time, as its result depends on more than can be known"
         elif step.id not in before:
             why = "no run of this configuration is known that had it"

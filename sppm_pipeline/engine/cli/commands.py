@@ -15,6 +15,7 @@ VERBS = {
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print or write the JSON Schema of configurations, for editors",
+    "stubs": "print or write what type checkers and editors know of the stages in Python",
     "plugins": "list plugins, and with --check why some cannot be loaded",
     "verify": "check that a run directory still holds what was written, to the byte",
     "cache": "show, check or shrink what is kept between runs",

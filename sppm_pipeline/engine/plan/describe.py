@@ -57,7 +57,8 @@ def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
     ]
 
 
-def _makes(cls: type[Stage]) -> str:
+def makes_words(cls: type[Stage]) -> str:
+    """What a stage makes, in words; "nothing" for nothing."""
     signature = signature_of(cls)
     if signature.as_recipe and cls.returns is not None:
         return f"the last {cls.returns.__name__} that its recipe makes"
@@ -71,7 +72,7 @@ def stage_data(cls: type[Stage], registry: Registry) -> dict[str, Any]:
         "name": cls.name,
         "purpose": purpose_of(cls),
         "ports": _takes(cls),
-        "makes": _makes(cls),
+        "makes": makes_words(cls),
         "options": [
             {
                 "name": option.name,
@@ -101,12 +102,13 @@ def stage_text(cls: type[Stage], registry: Registry) -> str:
         "Options" if data["options"] else "No options",
     ]
     for option in options_of(cls).values():
-        default = "required" if option.required else f"default {_default_words(option)}"
+        default = "required" if option.required else f"default {default_words(option)}"
         lines += [f"  {option.name}: {allowed_words(option)}; {default}", f"      {option.spec.help}"]
     return "\n".join(lines) + "\n"
 
 
-def _default_words(option: Option) -> str:
+def default_words(option: Option) -> str:
+    """The default of an option as YAML has it."""
     value = plain_option(option.default)
     if value is None:
         return "none"

@@ -101,6 +101,21 @@ class Plugins:
                 raise plugin.error
 
 
+REGISTERED = Plugin("registered in this process")
+"""The stages of classes that Python has registered, as a notebook does; see `register_stage`."""
+
+
+def register_stage(cls: type[Stage]) -> str:
+    """Have a class of stages loaded beside all plugins from now on, in this process; its name."""
+    name = getattr(cls, "name", None)
+    if not isinstance(name, str):
+        raise PluginError(
+            f"{cls!r:.80} can't be registered: it has no name", hint='write name: ClassVar[str] = "family.name"'
+        )
+    REGISTERED.stages[name] = cls
+    return name
+
+
 class BrokenContract(PluginError):
     """A plugin was loaded but does not keep to the hooks."""
 
@@ -156,6 +171,9 @@ def load_plugins(
             plugin = Plugin(str(path))
             result.append(plugin)
             _attempt(manager, plugin, lambda path=path: import_file(path))  # type: ignore[misc]
+    if REGISTERED.stages:
+        # a copy, as a name that is taken is removed from it
+        result.append(Plugin(REGISTERED.name, stages=dict(REGISTERED.stages)))
     _refuse_duplicates(result)
     for plugin in result:
         if plugin.viewers:
