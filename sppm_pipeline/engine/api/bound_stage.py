@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import sppm_pipeline
 from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
@@ -278,11 +278,13 @@ class BoundStage(Generic[Takes, Makes]):
             words.append("recipe=" + (repr(self.recipe) if isinstance(self.recipe, str) else "[...]"))
         return f"<step {self.name}({', '.join(words)})>"
 
-    def __getattr__(self, name: str) -> Any:
-        message = f"a step has no attribute {name!r}"
-        if not name.startswith("_"):
-            message = f"{self.name}(...) is a step and has not run, so that it has no {name!r}; {self._how_to_run()}"
-        raise AttributeError(message)
+    if not TYPE_CHECKING:  # to type checkers it would promise every name
+
+        def __getattr__(self, name: str) -> Any:
+            message = f"a step has no attribute {name!r}"
+            if not name.startswith("_"):
+                message = f"{self.name}(...) is a step and has not run, so that it has no {name!r}; {self._how_to_run()}"
+            raise AttributeError(message)
 
     def _how_to_run(self) -> str:
         needed = [port.name for port in signature_of(registry().get(self.name)).ports if not _waits_for_nothing(port)]

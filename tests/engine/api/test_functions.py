@@ -64,9 +64,15 @@ def test_a_length_is_written_as_in_a_file_or_given_as_one():
     assert by_text.summary()["volume_mm3"] == pytest.approx(24)
 
 
-def test_random_numbers_need_a_seed():
+def test_random_numbers_need_a_seed(pores):
+    step = sppm.sample.dart_throwing(count=14, spacing=0.2)
     with pytest.raises(sppm.ConfigError, match=r"no seed(.|\n)*seed=1"):
-        sppm.sample.dart_throwing(count=14, spacing=0.2)
+        step()
+    with pytest.raises(AttributeError, match=r"is a step and has not run.*\.\.\., seed=1\)"):
+        _ = step.centers
+    with pytest.raises(sppm.errors.WiringError, match=r"has not run(.|\n)*seed=1"):
+        sppm.connect.mst(step)
+    assert step(seed=1).digest() == pores.digest()
     one, same, other = (sppm.sample.dart_throwing(count=14, spacing=0.2, seed=seed).digest() for seed in (1, 1, 2))
     assert one == same != other
 
@@ -119,7 +125,7 @@ def test_a_recipe_may_be_the_name_of_a_preset_but_not_one_stage():
     cell = sppm.tune.porosity(recipe="paper", target=0.6, fit_count=True, seed=1)
     assert sppm.check.porosity(resolution=24)(cell)["porosity"] == pytest.approx(0.6, abs=0.02)
     for one in (sppm.step.sample.dart_throwing(total=40, share=0.5), lambda: None):
-        with pytest.raises(ConfigError, match=r"must be a list of stages, got one (dict|function)"):
+        with pytest.raises(ConfigError, match=r"must be a list of stages, got one (BoundStage|function)"):
             sppm.tune.porosity(recipe=one, target=0.6)
 
 

@@ -119,7 +119,7 @@ def test_a_pipeline_of_a_file_is_that_file():
 
 
 def test_mistakes_are_reported_together_with_their_places():
-    wrong = sppm.Pipeline([sppm.step.sample.dart_throwing(cont=1), "connect.mdst"])
+    wrong = sppm.Pipeline([{"stage": "sample.dart_throwing", "cont": 1}, "connect.mdst"])
     with pytest.raises(sppm.errors.ConfigErrors) as caught:
         wrong.check()
     assert "pipeline[0].cont" in str(caught.value)

@@ -1,0 +1,120 @@
+"""What type checkers, editors and `help` know of stages: from their options and ports."""
+
+import pydoc
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import sppm_pipeline as sppm
+from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.stubs import stub_text
+
+ROOT = Path(sppm.__file__).parents[1]
+CODE = """
+import sppm_pipeline as sppm
+
+pores = sppm.sample.dart_throwing(total=66, share=0.55, seed=1)
+throw = sppm.sample.dart_throwing(total=66, share=0.55)
+graph: sppm.TunnelGraph = sppm.connect.mbdst(pores, mode="greedy", seed=1)
+cell: sppm.Microstructure = sppm.field.gaussian(pore_radius="0.5 mm", tunnel_radius=0.04)(graph)
+E = sppm.homogenize.voxel(resolution=64)(cell).C[0, 0]
+ball: sppm.SurfaceMesh = sppm.read.primitive(shape="ball", size=[1, 2, 3])
+tuned = sppm.tune.porosity(target=sppm.param("porosity"), recipe=[throw, sppm.connect.mbdst()])
+files = [path.name for path in sppm.write.mesh(ball, path="ball.stl")]
+"""
+MISTAKES = {
+    "sppm.smaple.dart_throwing(total=66)": "smaple",
+    "sppm.sample.dart_throwing(totl=66, seed=1)": "totl",
+    'sppm.sample.dart_throwing(total="many", seed=1)': "str",
+    "sppm.step.connect.mbdst(modes='greedy')": "modes",
+    "sppm.connect.mbdst(cell, seed=1)": "Microstructure",
+    "sppm.field.gaussian(pore_radius=0.1)(pores)": "PoreSet",
+    "throw.centers": "centers",
+    "sppm.connect.mbdst(pores, mode='greedyy')": "greedyy",
+}
+
+
+def test_the_stub_in_the_package_is_that_of_the_stages(capsys, tmp_path):
+    text = stub_text(Registry(load_plugins(distributions=False)))
+    file = ROOT / "sppm_pipeline" / "engine" / "api" / "stages.pyi"
+    assert file.read_text(encoding="utf-8") == text, "sppm stubs > sppm_pipeline/engine/api/stages.pyi"
+    assert main(["stubs"]) == 0
+    assert capsys.readouterr().out == text
+    assert main(["stubs", "--plugins", "-o", str(tmp_path)]) == 0
+    found = tmp_path / "sppm_pipeline-stubs"
+    assert (found / "py.typed").read_text() == "partial\n"
+    assert set(text.split()) <= set((found / "engine" / "api" / "stages.pyi").read_text(encoding="utf-8").split())
+
+
+def errors_of(command, tmp_path):
+    """The lines that a type checker finds fault with."""
+    file = tmp_path / "script.py"
+    file.write_text(CODE + "\n".join(MISTAKES) + "\n", encoding="utf-8")
+    found = subprocess.run([*command, str(file)], capture_output=True, text=True, cwd=ROOT).stdout
+    lines = [line for line in found.splitlines() if ": error:" in line or " - error:" in line]
+    return {int(line.split("script.py:")[1].split(":")[0]): line for line in lines}, found
+
+
+CHECKERS = {"mypy": [sys.executable, "-m", "mypy"], "pyright": ["pyright", "--pythonpath", sys.executable]}
+
+
+@pytest.mark.parametrize("checker", CHECKERS)
+def test_mistakes_are_found_before_anything_runs(checker, tmp_path):
+    command = CHECKERS[checker]
+    if not shutil.which(command[0]):
+        pytest.skip(f"{checker} is not installed")
+    errors, text = errors_of(command, tmp_path)
+    first = CODE.count("\n") + 1
+    assert sorted(errors) == list(range(first, first + len(MISTAKES))), text
+    if checker == "mypy":
+        for line, word in zip(sorted(errors), MISTAKES.values(), strict=True):
+            assert word in errors[line]
+
+
+def test_help_lists_options_with_unit_bounds_and_default():
+    text = pydoc.plain(pydoc.render_doc(sppm.field.gaussian))
+    assert text.splitlines()[0].endswith("function gaussian in module sppm_pipeline")
+    assert "graph : TunnelGraph" in text
+    assert "level : a number, above 0, below 1" in " ".join(text.split())
+    assert "a length in cell size" in text
+    assert "default 0.25" in text
+    listed = pydoc.plain(pydoc.render_doc(sppm.fix))
+    assert "drains(*artifacts" in listed
+    assert "fill(*artifacts" in listed
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("sppm.sa", "sample"),
+        ("sppm.crush.v", "voxel"),
+        ("sppm.sample.dart", "dart_throwing"),
+        ("sppm.step.sam", "sample"),
+        ("sppm.step.sample.dart", "dart_throwing"),
+        ("sppm.sample.dart_throwing(sh", "share="),
+        ("sppm.step.sample.dart_throwing(sh", "share="),
+    ],
+)
+def test_completion_without_jedi(text, wanted):
+    from IPython.core.completer import IPCompleter, provisionalcompleter
+    from IPython.core.interactiveshell import InteractiveShell
+
+    shell = InteractiveShell.instance()
+    completer = IPCompleter(shell=shell, namespace={"sppm": sppm}, use_jedi=False)
+    with provisionalcompleter():
+        found = [one.text for one in completer.completions(text, len(text))]
+    assert any(word.endswith(wanted) for word in found), found
+
+
+def test_dir_offers_nothing_that_fails():
+    for family in (name for name in dir(sppm.step)):
+        for word in dir(getattr(sppm, family)):
+            assert callable(getattr(getattr(sppm, family), word))
+            assert callable(getattr(getattr(sppm.step, family), word))
+    for name in dir(sppm):
+        assert getattr(sppm, name) is not None
