@@ -105,6 +105,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.method.nouns.tunnels import TunnelGraph as TunnelGraph
     from sppm_pipeline.method.nouns.voxels import Voxels as Voxels
     from sppm_pipeline.method.part.part import Part as Part
+    from sppm_pipeline.method.presets import cell as cell
     from sppm_pipeline.method.slicing.slice_stack import SliceStack as SliceStack
     from sppm_pipeline.nouns.artifact import Artifact as Artifact
     from sppm_pipeline.nouns.artifact import Viewable as Viewable
@@ -179,6 +180,7 @@ _PLACES = {
     "method.nouns.tunnels": "TunnelGraph",
     "method.nouns.voxels": "Voxels",
     "method.part.part": "Part",
+    "method.presets": "cell",
     "method.slicing.slice_stack": "SliceStack",
     "nouns.artifact": "Artifact Viewable frozen",
     "nouns.length": "Cell Length",

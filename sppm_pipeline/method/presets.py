@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from sppm_pipeline.hookspecs import Preset
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.fields.scalar_field import ScalarField
 
 _PORES = {"total": 95, "share": 0.5}
 _THROWN = [
@@ -44,3 +49,70 @@ PRESETS = {
     ),
 }
 """Pores lie on the faces, too, so that all of them serve single cells, tile sets and scattered cells alike."""
+
+
+def cell(
+    preset: str = "paper",
+    *,
+    seed: int,
+    porosity: float | None = None,
+    threads: int | None = None,
+    **more: Any,
+) -> ScalarField:
+    """A cell of a preset in one line, of a given porosity if one is given.
+
+    Parameters
+    ----------
+    preset : str
+        A name that ``sppm stages`` lists: "paper", "stiff", "permeable", or one of a plugin.
+    seed : int
+    porosity : float, optional
+        Share of the void, which ``tune.porosity`` reaches; that of the preset's own parameters if omitted.
+    threads : int, optional
+        As many as there are processors if omitted; no result depends on it.
+    **more
+        Parameters of the preset, such as ``total=60``, and with a porosity options of ``tune.porosity``, such as
+        ``hold="pore_radius"``.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such preset, parameter or option, or a value is not allowed.
+
+    Examples
+    --------
+    >>> import sppm_pipeline as sppm
+    >>> cell = sppm.cell("permeable", edge="4 mm", seed=1)
+    >>> cell.edge_mm, cell.centers_mm.shape[1]
+    (4.0, 3)
+    """
+    # late: presets are listed without the program of plans and runs
+    from sppm_pipeline.engine.api.bound_stage import registry
+    from sppm_pipeline.engine.api.functions import make_function
+    from sppm_pipeline.engine.api.pipeline import Pipeline
+    from sppm_pipeline.engine.config.document import as_node, plain
+    from sppm_pipeline.engine.config.options import options_of, plain_option
+    from sppm_pipeline.engine.config.presets import stages_of
+    from sppm_pipeline.engine.config.problems import did_you_mean
+    from sppm_pipeline.errors import ConfigError, Position
+
+    known = registry().presets
+    if preset not in known:
+        raise ConfigError(f"there is no preset {preset!r}", hint=did_you_mean(str(preset), known))
+    params = {name: more.pop(name) for name in known[preset].params if name in more}
+    allowed = options_of(registry().get("tune.porosity")) if porosity is not None else {}
+    if unknown := [name for name in more if name not in allowed]:
+        raise ConfigError(
+            f"the preset {preset!r} has no parameter {unknown[0]!r}",
+            hint=did_you_mean(unknown[0], [*known[preset].params, *allowed]),
+        )
+    where = Position(f"sppm.cell({preset!r})", 0, 0)
+    nodes = {name: as_node(plain_option(value), where) for name, value in params.items()}
+    stages = plain(stages_of(known[preset], where, nodes))
+    if porosity is not None:
+        found = make_function("tune.porosity")(target=porosity, recipe=stages, seed=seed, threads=threads, **more)
+    else:
+        run = Pipeline(stages, name=preset, seed=seed).run(threads=threads, cache=False)
+        found = run[run.record["stages"][-1]["id"]]
+    made: ScalarField = found
+    return made

@@ -277,7 +277,8 @@ def optional_module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise ResourceError(f"this needs {name}, which is not installed", hint=f"pip install {name}") from error
+        library = (error.name or name).partition(".")[0]
+        raise ResourceError(f"this needs {library}, which is not installed", hint=f"pip install {library}") from error
 
 
 def _feed(h: Any, value: Any) -> None:

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import Field
 from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
-from sppm_pipeline.nouns.artifact import Artifact
+import numpy as np
+
+from sppm_pipeline.nouns.artifact import Artifact, shown
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -233,6 +235,19 @@ class Report(Artifact):
                     inner = inner.setdefault(key, {})
                 inner[last] = list(one) if isinstance(one, tuple) else dict(one) if isinstance(one, Mapping) else one
         return found
+
+    def __str__(self) -> str:
+        """The numbers, a line for each entry of the summary; what is no number alone is left out."""
+        summary = self.summary()
+        unit = summary.get("unit") or ""
+        lines = [type(self).__name__ + (f", {unit}" if unit else "")]
+        for name, value in summary.items():
+            if isinstance(value, np.ndarray) and value.ndim == 2:
+                rows = ("  ".join(f"{one:11.5g}" for one in row) for row in value.tolist())
+                lines += [name, *(f"    {row}" for row in rows)]
+            elif not isinstance(value, (str, type(None))):
+                lines.append(f"{name:20s} {shown(value)}")
+        return "\n".join(lines)
 
     @classmethod
     def headlines(cls) -> tuple[Headline, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.nouns.artifact import Artifact, escaped, shown
+from sppm_pipeline.nouns.artifact import Artifact, escaped, optional_module, shown
 
 MAX_ROWS = 20
 """Rows that notebooks show."""
@@ -42,10 +44,13 @@ class Table(Artifact):
         ``status``, ``error``, then ``<stage id>.<number>``.
     files : mapping of str to tuple of RunFile or None
         Of a sweep, the files that its runs wrote, by the name that they have in the folder of each run.
+    units : mapping of str to str
+        Units of columns, as far as they are known.
     """
 
     columns: Mapping[str, tuple[Any, ...]]
     files: Mapping[str, tuple[RunFile | None, ...]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)  # no part of the value
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", {name: tuple(values) for name, values in self.columns.items()})
@@ -70,6 +75,64 @@ class Table(Artifact):
             name: np.array(self.texts(name)) if any(isinstance(v, str) for v in values) else self.numbers(name)
             for name, values in self.columns.items()
         }
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame` with the columns as they are: seeds are integers, and NaN stands for no number.
+
+        Units are in ``attrs["units"]`` of the frame, by column.
+
+        Raises
+        ------
+        ResourceError
+            If pandas is not installed.
+        """
+        frame = optional_module("pandas").DataFrame({name: list(values) for name, values in self.columns.items()})
+        frame.attrs["units"] = dict(self.units)
+        return frame
+
+    def to_xarray(self) -> Any:
+        """An `xarray.Dataset` over the runs, in which what was counted from 1 is an array again.
+
+        ``elastic.C.1.1`` to ``elastic.C.6.6`` are the variable ``elastic.C``, of the shape (run, 6, 6). The name of the
+        run, parameters and the seed are coordinates of ``run``; units are in ``attrs["units"]`` of each variable.
+
+        Raises
+        ------
+        ResourceError
+            If xarray is not installed.
+        """
+        xarray = optional_module("xarray")
+        variables: dict[str, Any] = {}
+        coordinates: dict[str, Any] = {}
+        before_status = True
+        for name, members in self._arrays().items():
+            columns = [self.columns[member] for member in members]
+            if not all(isinstance(value, (bool, int, float, type(None))) for column in columns for value in column):
+                found = np.array(columns[0], object if None in columns[0] else None)
+            elif all(type(value) is int for column in columns for value in column):
+                found = np.array(columns, np.int64).T
+            else:
+                found = np.array([self.numbers(member) for member in members]).T
+            before_status &= name != "status"
+            shape = _shape_of(members, name)
+            values = found.reshape(self.rows, *shape) if shape else found.reshape(self.rows)
+            dims = ("run", *(f"{'ijkl'[k]}{size}" for k, size in enumerate(shape)))
+            unit = self.units.get(members[0])
+            into = coordinates if before_status else variables
+            into[name] = (dims, values, {"units": unit} if unit else {})
+        return xarray.Dataset(variables, coordinates)
+
+    def _arrays(self) -> dict[str, list[str]]:
+        """Columns by the array that they are the entries of, in order; a column that is none is an array of its own."""
+        groups: dict[str, list[str]] = {}
+        for name in self.columns:
+            groups.setdefault(_INDEX.sub("", name), []).append(name)
+        found: dict[str, list[str]] = {}
+        for base, members in groups.items():
+            whole = len(members) == math.prod(_shape_of(members, base)) and base not in members
+            # of an array that lacks entries, each stands for itself
+            found |= {base: members} if whole and len(members) > 1 else {name: [name] for name in members}
+        return found
 
     def _repr_html_(self) -> str:
         """The first rows, as notebooks show them."""
@@ -136,6 +199,15 @@ class Table(Artifact):
     def summary(self) -> dict[str, Any]:
         """Rows and names of the columns."""
         return {"rows": self.rows, "columns": list(self.columns)}
+
+
+_INDEX = re.compile(r"(\.[1-9][0-9]*)+$")
+
+
+def _shape_of(members: list[str], base: str) -> tuple[int, ...]:
+    """The shape of the array whose entries these columns are: the largest index along each axis."""
+    places = [[int(part) for part in name[len(base) :].split(".")[1:]] for name in members]
+    return tuple(map(max, zip(*places, strict=True))) if len({len(place) for place in places}) == 1 else (0,)
 
 
 def check_columns(columns: tuple[str, ...], headings: tuple[str, ...]) -> None:

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.api.bound_stage import WarningMonitor
+from sppm_pipeline.engine.api.progress import SweepProgress
 from sppm_pipeline.engine.cache.housekeeping import open_store
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.session import Session
 from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
 from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
-from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of
+from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of, units_of
 from sppm_pipeline.errors import ConfigError, SppmError
 from sppm_pipeline.nouns.artifact import escaped, shown
 from sppm_pipeline.nouns.table import Table
 from sppm_pipeline.nouns.viewers import viewer_of
+
+
+class Numbers(dict[str, float]):
+    """The numbers of a run by ``<stage id>.<name>``; of an unknown one it is said what is known."""
+
+    def __missing__(self, name: str) -> float:
+        hint = did_you_mean(name, self) if self else "no stage of the run reports numbers"
+        raise ConfigError(f"the run has no number {name!r}", hint=hint)
 
 
 class Run:
@@ -59,8 +70,23 @@ class Run:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Numbers of all stages as ``<stage id>.<name>``, the columns of a sweep's table."""
-        return numbers_of(self.record.get("stages", ()))
+        """Numbers of all stages as ``<stage id>.<name>``, the columns of a sweep's table.
+
+        Raises
+        ------
+        ConfigError
+            If the run is a sweep.
+        """
+        if self.table is not None:
+            raise ConfigError(
+                f"a sweep has the numbers of {self.table.rows} runs",
+                hint="ask run.table: .to_pandas(), .to_xarray(), or .numbers(name) of " + self._columns(),
+            )
+        return Numbers(numbers_of(self.record.get("stages", ())))
+
+    def _columns(self) -> str:
+        names = [name for name in self.table.columns if "." in name] if self.table is not None else []
+        return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") if names else "its columns"
 
     def save(self, path: str | Path, *, jobs: int = 1) -> dict[str, Any]:
         """Write the run directory, as ``sppm run`` does; stages that only write run now.
@@ -128,21 +154,30 @@ class Run:
                 "columns": {},
             }
             try:
+                plan = self._session.plan(row)
                 memory = run_in_memory(
-                    self._session.plan(row),
+                    plan,
                     threads=max(1, self._threads // jobs),
                     until=self._until,
-                    monitor=WarningMonitor(),
+                    monitor=monitor,
                     store=self._store(),
                     about=self._about(),
                 )
-                return result | {"columns": numbers_of(memory.record["stages"])}
+                result["columns"] = numbers_of(memory.record["stages"])
+                units.update(units_of(plan.steps, memory.record["stages"]))
             except SppmError as error:
-                return result | {"status": "failed", "error": error_entry(error)}
+                result |= {"status": "failed", "error": error_entry(error)}
+            with lock:
+                progress.row_finished(result["status"] == "done")
+            return result
 
-        with ThreadPoolExecutor(max(1, jobs)) as pool:
-            runs = list(pool.map(one, range(len(rows))))
-        self.table = Table({name: tuple(values) for name, values in columns_of(runs).items()})
+        monitor, progress, lock, units = WarningMonitor(), SweepProgress(len(rows)), threading.Lock(), dict[str, str]()
+        try:
+            with ThreadPoolExecutor(max(1, jobs)) as pool:
+                runs = list(pool.map(one, range(len(rows))))
+        finally:
+            progress.close()
+        self.table = Table({name: tuple(values) for name, values in columns_of(runs).items()}, units=units)
         self.record = {"runs": runs}
 
     def _store(self) -> Store | None:

@@ -6,7 +6,12 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from sppm_pipeline.nouns.report import Report
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.plan.wiring import Step
 
 MAX_LISTED = 6
 """Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
@@ -29,6 +34,20 @@ def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
         elif isinstance(value, list) and len(value) <= MAX_LISTED:
             listed = {str(number): one for number, one in enumerate(value, 1) if not isinstance(one, dict)}
             yield from ((f"{name}.{inner}", number) for inner, number in _numbers(listed))
+
+
+def units_of(steps: Sequence[Step], stages: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Units of the numbers in the summaries of a run record's stages, as the reports that were made declare them."""
+    makes = {step.id: [kind for kind in step.makes if issubclass(kind, Report)] for step in steps}
+    found: dict[str, str] = {}
+    for stage in stages:
+        summary = stage.get("summary", {})
+        for one in (entry for kind in makes.get(stage["id"], ()) for entry in kind.entries() if entry.unit):
+            unit = one.unit.replace("{unit}", str(summary.get("unit") or ""))
+            begin = ".".join(one.path)
+            names = [name for name, _ in _numbers(summary) if name == begin or name.startswith(f"{begin}.")]
+            found |= {f"{stage['id']}.{name}": unit for name in names if unit}
+    return found
 
 
 def columns_of(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

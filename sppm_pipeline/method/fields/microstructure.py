@@ -106,6 +106,11 @@ class Microstructure(KernelSum):
                 check_metric(metric, n)
 
     @property
+    def centers_mm(self) -> F64:
+        """Centers of the pores, (n, 3) float64, mm; see `PoreSet.centers_mm`."""
+        return self.graph.pores.centers_mm
+
+    @property
     def cells(self) -> tuple[int, int, int]:
         return (1, 1, 1)
 

@@ -5,14 +5,19 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.nouns.artifact import Artifact, optional_module
 from sppm_pipeline.services.arrays import F32, I32, U8, U64
 from sppm_pipeline.services.grid import Grid, cell_centers
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+    from sppm_pipeline.method.nouns.voxels import Voxels
 
 RESOLVED = 1.2
 """Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
@@ -101,6 +106,85 @@ class ScalarField(Artifact, ABC):
         """1 where the field is negative, else 0, (nx, ny, nz) uint8; faster than `sample` where a class can."""
         grid = self._grid(grid)
         return self.solid_zyx(grid, 0, grid.shape[2], threads).T
+
+    def to_numpy(self, resolution: int = 64) -> NDArray[np.bool_]:
+        """True in the solid, False in pores and tunnels, at voxel centers of all cells, (nx, ny, nz) bool.
+
+        Parameters
+        ----------
+        resolution : int
+            Voxels along the edge of a cell.
+
+        Examples
+        --------
+        >>> import sppm_pipeline as sppm
+        >>> cell = sppm.cell("paper", porosity=0.6, seed=1, resolution=24)
+        >>> cell.to_numpy(24).shape, round(float(1 - cell.to_numpy(24).mean()), 2)
+        ((24, 24, 24), 0.6)
+        """
+        return self.solid(resolution).astype(bool)
+
+    def voxels(self, resolution: int = 64) -> Voxels:
+        """The image of voxels that ``extract.voxels`` makes; `Voxels.to_array` and writers take it from there."""
+        return cast("Voxels", self._made("extract.voxels", resolution=resolution))
+
+    def mesh(self, resolution: int = 64) -> SurfaceMesh:
+        """The surface that ``extract.marching_cubes`` makes, in mm, or in cell sizes if there is no physical size."""
+        return cast("SurfaceMesh", self._made("extract.marching_cubes", resolution=resolution))
+
+    def to_pyvista(self, resolution: int = 64) -> Any:
+        """A `pyvista.ImageData` whose cells are voxels, with ``solid`` 0 and 1; `ResourceError` without pyvista."""
+        return self.voxels(resolution).to_pyvista()
+
+    def plot(self, axis: str = "z", at: float = 0.5, *, resolution: int = 256, ax: Any = None) -> Any:
+        """Draw a section with matplotlib: solid dark, void light.
+
+        Parameters
+        ----------
+        axis : {"x", "y", "z"}
+            What the section is perpendicular to.
+        at : float
+            Where it lies, a share of the whole extent.
+        resolution : int
+            Points along the edge of a cell.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; a new figure if omitted.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ResourceError
+            If matplotlib is not installed.
+        ConfigError
+            If there is no such axis or place.
+        """
+        if axis not in tuple("xyz") or not 0 <= at <= 1:
+            raise ConfigError(f"a section is perpendicular to x, y or z at 0 to 1, got {axis!r} at {at!r}")
+        normal, size = "xyz".index(axis), tuple(resolution * n for n in self.cells)
+        across = [k for k in range(3) if k != normal]
+        # one layer of points, half a step away from both ends at most
+        origin, shape = [0.5 / resolution] * 3, list(size)
+        origin[normal], shape[normal] = at * self.cells[normal], 1
+        grid = Grid(tuple(origin), (1 / resolution,) * 3, tuple(shape))  # type: ignore[arg-type]
+        section = self.solid(grid).take(0, normal)
+        axes = optional_module("matplotlib.pyplot").subplots()[1] if ax is None else ax
+        scale, unit = (self.edge_mm, "mm") if self.edge_mm else (1.0, "cell sizes")
+        start = [self.origin_mm[k] if self.edge_mm else 0.0 for k in across]
+        stop = [first + self.cells[k] * scale for first, k in zip(start, across, strict=True)]
+        extent = (start[0], stop[0], start[1], stop[1])
+        axes.imshow(section.T, origin="lower", extent=extent, cmap="gray_r", vmin=0, vmax=1, interpolation="nearest")
+        axes.set_xlabel(f"{'xyz'[across[0]]} ({unit})")
+        axes.set_ylabel(f"{'xyz'[across[1]]} ({unit})")
+        return axes
+
+    def _made(self, stage: str, **options: Any) -> Any:
+        # late, as the program of plans and runs is needed by no one who only samples
+        from sppm_pipeline.engine.api.functions import make_function
+
+        return make_function(stage)(self, **options)
 
     def _grid(self, grid: Grid | int) -> Grid:
         return grid if isinstance(grid, Grid) else cell_centers(grid, self.cells)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.nouns.length import Cell, parse_length
 from sppm_pipeline.nouns.palette import Blocks
@@ -67,7 +68,7 @@ class PoreSet(Artifact):
         Parameters
         ----------
         centers : (n, 3) array_like
-            In the unit cube.
+            In millimeters, from 0 to the edge; without an edge in cell sizes, from 0 to 1.
         edge : str or float, optional
             Edge of the cell with a unit, for instance ``"7.5 mm"``, or in mm; without it the cell has no physical size.
         spacing : float, optional
@@ -77,9 +78,23 @@ class PoreSet(Artifact):
         ------
         ValueError
             If a center is not finite or outside of the cell, or two are equal.
+
+        Examples
+        --------
+        >>> import sppm_pipeline as sppm
+        >>> pores = sppm.PoreSet.from_array([[0.5, 2, 2], [4, 2, 3]], edge="5 mm")
+        >>> pores.centers.tolist()
+        [[0.1, 0.4, 0.4], [0.8, 0.4, 0.6]]
         """
         points = in_rows(np.array(centers, np.float64), 3, "pore centers")
         cell = Cell() if edge is None else Cell(parse_length(edge).mm(), physical=True)
+        if edge is not None:
+            points = points / cell.edge
+            if len(points) and np.isfinite(points).all() and not -_ROUNDING <= points.min() <= points.max() <= 1 + _ROUNDING:
+                low, high = points.min() * cell.edge, points.max() * cell.edge
+                raise ValueError(
+                    f"pore centers lie in the cell, from 0 to {cell.edge:g} mm, got {low:g} to {high:g} mm"
+                )
         pores = cls(cell, points, np.zeros(len(points), np.int32), spacing=spacing)
         pores.check()
         return pores
@@ -116,6 +131,25 @@ class PoreSet(Artifact):
             raise ValueError(
                 f"pores {first} and {second} of piece {self.piece[first]} are one: both lie at ({x:g}, {y:g}, {z:g})"
             )
+
+    def to_numpy(self) -> NDArray[np.float64]:
+        """Centers of the pores, (n, 3) float64: in millimeters, or in cell sizes if the cell has no physical size."""
+        return self.centers * (self.cell.edge if self.cell.physical else 1.0)
+
+    @property
+    def centers_mm(self) -> NDArray[np.float64]:
+        """Centers of the pores, (n, 3) float64, mm.
+
+        Raises
+        ------
+        DesignError
+            If the cell has no physical size.
+        """
+        if not self.cell.physical:
+            raise DesignError(
+                "the cell has no physical size", hint='give the sampler `edge="5 mm"`, or ask for `to_numpy()`'
+            )
+        return self.to_numpy()
 
     @property
     def has_faces(self) -> bool:

@@ -99,6 +99,21 @@ class StiffnessReport(Report, Viewable):
         return self.stiffness
 
     @property
+    def E(self) -> NDArray[np.float64]:
+        """Young's moduli along x, y, z, (3,) float64, in `unit`; the number in tables is ``E.1`` to ``E.3``."""
+        return self._constants("E")
+
+    @property
+    def G(self) -> NDArray[np.float64]:
+        """Shear moduli yz, xz, xy, (3,) float64, in `unit`."""
+        return self._constants("G")
+
+    def _constants(self, name: str) -> NDArray[np.float64]:
+        from sppm_pipeline.services.elastic.voigt import engineering_constants
+
+        return np.asarray(engineering_constants(self.stiffness)[name], np.float64)
+
+    @property
     def base(self) -> float:
         """Young's modulus of the stiffest phase: what relative moduli are relative to."""
         return max(young for _, young, _ in self.phases)

@@ -80,6 +80,25 @@ class TunnelGraph(Artifact):
         graph.check()
         return graph
 
+    def to_networkx(self) -> Any:
+        """The pores and tunnels as a `networkx.MultiGraph`: two pores may share tunnels to several images.
+
+        Returns
+        -------
+        networkx.MultiGraph
+            Nodes have ``x``, ``y``, ``z`` in the unit of `PoreSet.to_numpy` and ``piece``; tunnels ``length`` in that
+            unit and ``shift``, whole cells to the image of their second pore, as a string ``"0 0 -1"``.
+        """
+        from sppm_pipeline.method.connecting.statistics import networkx_graph
+
+        graph = networkx_graph(self.pores.centers, self.edges, self.shift)
+        scale = self.pores.cell.edge if self.pores.cell.physical else 1.0
+        for (_, about), piece in zip(graph.nodes(data=True), self.pores.piece.tolist(), strict=True):
+            about |= {"piece": piece, **{axis: about[axis] * scale for axis in "xyz"}}
+        for *_, about in graph.edges(data=True):
+            about["length"] *= scale
+        return graph
+
     def check(self) -> None:
         """Indices in range, one shift an edge, no tunnel twice, connectors pointing from interior to face."""
         if self.shift.shape != (len(self.edges), 3):
