@@ -36,11 +36,24 @@ def test_meshes(wedge):
 
 
 def test_pores_and_tunnels():
-    pores = sppm.PoreSet.from_array([[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]], edge="7.5 mm")
+    placed = [[0.75, 3.75, 3.75], [6.75, 3.75, 3.75]]  # mm
+    pores = sppm.PoreSet.from_array(placed, edge="7.5 mm")
     assert pores.cell == sppm.Cell(7.5, physical=True)
+    np.testing.assert_allclose(pores.centers, [[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]])
+    np.testing.assert_allclose(pores.to_numpy(), placed)
+    np.testing.assert_allclose(pores.centers_mm, placed)
+    with pytest.raises(ValueError, match=r"from 0 to 5 mm, got 0\.75 to 6\.75 mm"):
+        sppm.PoreSet.from_array(placed, edge="5 mm")
+    bare = sppm.PoreSet.from_array([[0.1, 0.5, 0.5]])
+    assert bare.to_numpy().tolist() == [[0.1, 0.5, 0.5]]
+    with pytest.raises(sppm.DesignError, match="no physical size"):
+        _ = bare.centers_mm
     graph = sppm.TunnelGraph.from_arrays(pores, [[0, 1]])
     assert graph.shift.tolist() == [[-1, 0, 0]]  # through the face of the cell
     assert graph.summary()["mean_tunnel_length"] == pytest.approx(0.2)
+    exported = graph.to_networkx()
+    assert exported.nodes[1] == {"x": pytest.approx(6.75), "y": 3.75, "z": 3.75, "piece": 0}
+    assert [*exported.edges(data=True)] == [(0, 1, {"length": pytest.approx(1.5), "shift": "-1 0 0"})]
     with pytest.raises(ValueError, match="does not exist"):
         sppm.TunnelGraph.from_arrays(pores, [[0, 2]])
 
@@ -76,3 +89,53 @@ def test_a_library_that_is_not_there_is_named(wedge, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyvista", None)
     with pytest.raises(sppm.ResourceError, match="pip install pyvista"):
         wedge.to_pyvista()
+
+
+@pytest.fixture(scope="module")
+def cell():
+    pores = sppm.PoreSet.from_array([[1, 1, 1], [3, 1, 1]], edge="4 mm")
+    graph = sppm.TunnelGraph.from_arrays(pores, [[0, 1]])
+    return sppm.field.gaussian(pore_radius="0.9 mm", tunnel_radius="0.5 mm")(graph)
+
+
+def test_cells_as_arrays_voxels_meshes_and_pictures(cell):
+    solid = cell.to_numpy(16)
+    assert (solid.dtype, solid.shape) == (bool, (16, 16, 16))
+    assert np.array_equal(solid, cell.sample(16) < 0)
+    assert not solid[4, 4, 4]  # the first pore
+    assert solid[8, 12, 12]
+    voxels = cell.voxels(16)
+    assert np.array_equal(voxels.to_array(), solid)
+    assert voxels.spacing == (0.25,) * 3
+    mesh = cell.mesh(24)
+    assert mesh.vertices.max() <= 4 + 1e-9
+    assert mesh.digest() == sppm.extract.marching_cubes(resolution=24)(cell).digest()
+    np.testing.assert_allclose(cell.centers_mm, [[1, 1, 1], [3, 1, 1]])
+
+
+def test_sections_are_drawn_to_scale(cell):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    figure, ax = pyplot.subplots()
+    assert cell.plot("x", 0.25, resolution=32, ax=ax) is ax
+    (image,) = ax.images
+    assert image.get_extent() == [0, 4, 0, 4]
+    assert ax.get_xlabel() == "y (mm)"
+    shown = image.get_array()
+    # rows are z and columns y, from below: the pore is at y = z = 1 mm
+    assert shown[8, 8] == 0
+    assert shown[24, 24] == 1
+    assert np.array_equal(shown, cell.to_numpy(32)[8].T)
+    pyplot.close(figure)
+    with pytest.raises(sppm.ConfigError, match="perpendicular to x, y or z"):
+        cell.plot("w")
+
+
+def test_what_is_not_installed_is_said(cell, monkeypatch):
+    import sys
+
+    for name in ("pandas", "xarray", "pyvista"):
+        monkeypatch.setitem(sys.modules, name, None)
+    table = sppm.Table.from_arrays({"a": [1, 2]})
+    for call, name in ((table.to_pandas, "pandas"), (table.to_xarray, "xarray"), (cell.to_pyvista, "pyvista")):
+        with pytest.raises(sppm.ResourceError, match=f"needs {name}, which is not installed(.|\n)*pip install {name}"):
+            call()

@@ -42,3 +42,38 @@ def test_files_count_in_check_digest_and_storage(tmp_path):
     assert again.files == table.files
     assert isinstance(again.files["cell.png"][0], RunFile)
     assert again.digest() == table.digest()
+
+
+def sweep():
+    stiffness = {f"e.C.{i}.{j}": (i + j / 10, None) for i in range(1, 7) for j in range(1, 7)}
+    columns = {"run": ("0000", "0001"), "porosity": (0.5, 0.6), "seed": (3, 4), "status": ("done", "failed")}
+    columns |= {"error": (None, "no"), **stiffness, "e.E.1": (1.0, 2.0), "e.E.3": (1.0, 2.0), "e.n": (1, 2)}
+    return Table(columns, units={name: "MPa" for name in stiffness})
+
+
+def test_a_frame_of_pandas_has_the_columns_as_they_are():
+    pytest.importorskip("pandas")
+    frame = sweep().to_pandas()
+    assert list(frame.columns) == list(sweep().columns)
+    assert frame["seed"].dtype.kind == "i"
+    assert frame["porosity"].tolist() == [0.5, 0.6]
+    assert frame["e.C.1.2"].isna().tolist() == [False, True]
+    assert frame.attrs["units"]["e.C.1.1"] == "MPa"
+
+
+def test_a_dataset_of_xarray_has_arrays_for_what_was_counted():
+    pytest.importorskip("xarray")
+    found = sweep().to_xarray()
+    assert set(found.coords) == {"run", "porosity", "seed"}
+    assert found["seed"].dtype == np.int64
+    assert found["e.C"].shape == (2, 6, 6)
+    assert found["e.C"].values[0, 2, 4] == pytest.approx(3.5)
+    assert np.isnan(found["e.C"].values[1]).all()
+    assert found["e.C"].attrs == {"units": "MPa"}
+    # of an array that lacks entries each stands for itself
+    assert found["e.E.3"].values.tolist() == [1, 2]
+    assert found["error"].values.tolist() == [None, "no"]
+
+
+def test_units_are_no_part_of_the_value():
+    assert sweep().digest() == Table(sweep().columns).digest()

@@ -11,15 +11,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.api.bound_stage import entries_of
+from sppm_pipeline.engine.api.bound_stage import WarningMonitor, entries_of
 from sppm_pipeline.engine.api.run import Run
 from sppm_pipeline.engine.cache.housekeeping import cache_folder
 from sppm_pipeline.engine.config.configuration import FORMAT
 from sppm_pipeline.engine.config.document import parse_yaml, plain, read_yaml
 from sppm_pipeline.engine.config.options import options_of, plain_option
 from sppm_pipeline.engine.config.parameters import Overrides
+from sppm_pipeline.engine.config.problems import listed
 from sppm_pipeline.engine.plan.checking import checked
-from sppm_pipeline.engine.plan.plugins import allowed_plugins
+from sppm_pipeline.engine.plan.plugins import REGISTERED, allowed_plugins
 from sppm_pipeline.engine.plan.session import RunRequest, Session, find_configuration, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.outputs import RECORD
@@ -191,6 +192,13 @@ class Pipeline:
 
         plan = checked(self._session, inputs=False, folder=None).plan
         document = dict(plan.document)
+        steps = [step for group in (plan.steps, plan.after, *plan.recipes.values()) for step in group]
+        if own := sorted({step.stage.name for step in steps if step.owner.name == REGISTERED.name}):
+            WarningMonitor().warning(
+                None,
+                f"{listed(own, 'and')} is known to this process alone: put the class into a file and name it under "
+                "`plugins`, so that others can run this",
+            )
         # what starts here needs no folder, and can be moved
         if document["folder"] == os.getcwd():
             del document["folder"]

@@ -133,7 +133,7 @@ class ScalarField(Artifact, ABC):
         return cast("SurfaceMesh", self._made("extract.marching_cubes", resolution=resolution))
 
     def to_pyvista(self, resolution: int = 64) -> Any:
-        """A `pyvista.ImageData` whose cells are voxels, with ``solid`` 0 and 1; `ResourceError` without pyvista."""
+        """A `pyvista.ImageData` whose cells are voxels, ``phase`` 1 where solid; `ResourceError` without pyvista."""
         return self.voxels(resolution).to_pyvista()
 
     def plot(self, axis: str = "z", at: float = 0.5, *, resolution: int = 256, ax: Any = None) -> Any:

@@ -1,5 +1,6 @@
 """Pipelines as values, and runs: the same as the command line's, in memory until they are saved."""
 
+import io
 import json
 from pathlib import Path
 
@@ -157,3 +158,58 @@ def test_cells_have_a_picture(run):
     assert '<iframe sandbox="allow-scripts" srcdoc="' in cell._repr_html_()
     assert len(cell._repr_html_()) < 60_000
     assert len(repr(cell)) < 1000
+
+
+def test_numbers_that_are_not_there_are_answered_by_those_that_are(capsys):
+    stage = {"stage": "sample.dart_throwing", "count": 5, "spacing": 0.1, "id": "pores"}
+    pipeline = sppm.Pipeline([stage])
+    numbers = pipeline.run(cache=False).numbers
+    with pytest.raises(sppm.ConfigError, match=r"no number 'pores\.por'(.|\n)*pores\.pores"):
+        numbers["pores.por"]
+    assert "pores.por" not in numbers
+    sweep = pipeline.sweep(seed=range(3)).run(cache=False)
+    with pytest.raises(sppm.ConfigError, match=r"numbers of 3 runs(.|\n)*to_pandas(.|\n)*pores\.pores"):
+        _ = sweep.numbers
+    assert sweep.table.column("seed") == (0, 1, 2)
+    # neither a terminal nor a notebook
+    assert capsys.readouterr().err == ""
+
+
+def test_progress_of_a_sweep_is_one_line_that_is_written_again():
+    from sppm_pipeline.engine.api.progress import SweepProgress
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    stream, now = Terminal(), iter([0.0, 10.0, 20.0, 30.0])
+    progress = SweepProgress(3, stream, lambda: next(now))
+    for well in (True, False, True):
+        progress.row_finished(well)
+    progress.close()
+    shown = [text.rstrip() for text in stream.getvalue().split("\r")]
+    assert shown[1] == "sweep: 0 of 3 runs"
+    assert shown[2] == "sweep: 1 of 3 runs, 20 s left"
+    assert shown[3:] == ["sweep: 2 of 3 runs, 1 failed, 10 s left", "sweep: 3 of 3 runs, 1 failed"]
+    assert stream.getvalue().endswith("\n")
+
+
+def test_warnings_point_at_the_line_of_the_user():
+    pipeline = sppm.Pipeline([sppm.sample.dart_throwing(count=5, spacing=0.1)], params={"unused": 1})
+    for run in (pipeline.run, pipeline.sweep(seed=[1, 2]).run):
+        with pytest.warns(sppm.SppmWarning, match="is not used") as caught:
+            run(cache=False)
+        assert {one.filename for one in caught} == {__file__}
+
+
+def test_a_cell_of_a_preset_in_one_line():
+    cell = sppm.cell("permeable", seed=1, edge="4 mm")
+    assert cell.edge_mm == 4
+    assert cell.digest() == sppm.cell("permeable", seed=1, edge="4 mm").digest()
+    with pytest.warns(sppm.SppmWarning, match="changes the radii"):
+        tuned = sppm.cell("permeable", porosity=0.6, seed=1, resolution=24)
+    assert 1 - tuned.to_numpy(24).mean() == pytest.approx(0.6, abs=0.01)
+    with pytest.raises(sppm.ConfigError, match=r"no preset 'papr'(.|\n)*did you mean 'paper'"):
+        sppm.cell("papr", seed=1)
+    with pytest.raises(sppm.ConfigError, match="has no parameter 'totl'"):
+        sppm.cell("paper", seed=1, totl=60)
