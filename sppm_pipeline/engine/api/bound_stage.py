@@ -94,8 +94,9 @@ C = TypeVar("C", bound=type[Stage])
 def register(cls: C) -> C:
     """Make a class of stages known to this process: its function is there at once, and recipes may name it.
 
-    Stages of the class can stand in recipes and pipelines without this. What a notebook defines is not kept between
-    runs, as no file says what it does; a class registered again replaces the earlier one.
+    It is made a frozen, keyword-only dataclass if it is none. Objects of a class that is one can stand in recipes and
+    pipelines without this. What a notebook defines is not kept between runs, as no file says what it does; a class
+    registered again replaces the earlier one.
 
     Parameters
     ----------
@@ -114,9 +115,7 @@ def register(cls: C) -> C:
     Examples
     --------
     >>> import sppm_pipeline as sppm
-    >>> from dataclasses import dataclass
     >>> @sppm.register
-    ... @dataclass(frozen=True, kw_only=True)
     ... class Grid(sppm.Sampler):
     ...     "Pores on a grid."
     ...     name = "sample.grid_of_eight"
@@ -127,6 +126,8 @@ def register(cls: C) -> C:
     >>> len(sppm.sample.grid_of_eight().centers)
     8
     """
+    if isinstance(cls, type) and issubclass(cls, Stage) and not _is_dataclass(cls):
+        cls = cast("C", dataclass(frozen=True, kw_only=True)(cls))
     before = REGISTERED.stages.get(getattr(cls, "name", ""))
     name = register_stage(cls)
     try:
@@ -159,6 +160,8 @@ def _entry_of(stage: Any, recipes: dict[str, Any], base: str) -> Any:
         stage = made_by
     if isinstance(stage, Stage):
         cls = type(stage)
+        if not _is_dataclass(cls):
+            raise ConfigError(f"{cls.__name__} is no dataclass, so that it has no options", hint="write @sppm.register above it")
         if not _is_known(cls):
             register(cls)
         given = {name: (getattr(stage, name), option.default) for name, option in options_of(cls).items()}
@@ -175,6 +178,11 @@ def _entry_of(stage: Any, recipes: dict[str, Any], base: str) -> Any:
     if stage.recipe is not None:
         entry["recipe"] = _recipe_name(stage, recipes, base)
     return {**entry, **stage.options}
+
+
+def _is_dataclass(cls: type) -> bool:
+    """Whether the class is one itself, and not only its base."""
+    return "__dataclass_fields__" in vars(cls)
 
 
 def _is_known(cls: type[Stage]) -> bool:

@@ -60,7 +60,6 @@ def test_a_class_that_is_registered_again_replaces_the_first():
     first = sppm.sample.diagonal(seed=1)
 
     @sppm.register
-    @dataclass(frozen=True, kw_only=True)
     class Other(Diagonal):
         def throw(self, rng, box):
             return super().throw(rng, box)[:3]
@@ -76,9 +75,11 @@ def test_what_breaks_the_contract_is_refused_and_changes_nothing():
         sppm.register(int)
 
     class Plain(Diagonal):
-        name: ClassVar[str] = "sample.plain"
+        name: ClassVar[str] = "plain"
 
-    with pytest.raises(PluginError, match="must be decorated"):
+    with pytest.raises(sppm.ConfigError, match="is no dataclass"):
+        sppm.Pipeline([Plain()])
+    with pytest.raises(PluginError, match=r"must be named family\.name"):
         sppm.register(Plain)
 
     @dataclass(frozen=True, kw_only=True)
