@@ -315,7 +315,7 @@ class Stage(ABC):
     returns : type or None
         Of a stage annotated ``-> Any``: it makes the last result of this type among those of its recipe, which may
         then end in stages that measure; None for what the recipe makes.
-    draws : bool
+    is_random : bool
         Whether it draws random numbers itself: in Python, a call that needs no artifacts then runs if it has a seed,
         and is a step without one.
     maps : bool
@@ -334,7 +334,7 @@ class Stage(ABC):
     headline: ClassVar[tuple[Headline, ...]] = ()
     reported: ClassVar[tuple[str, ...] | None] = None
     returns: ClassVar[type | None] = None
-    draws: ClassVar[bool] = False
+    is_random: ClassVar[bool] = False
     maps: ClassVar[bool] = False
     requires: ClassVar[Mapping[str, tuple[str, str]]] = {}
     advice: ClassVar[str] = ""

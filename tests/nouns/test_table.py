@@ -48,7 +48,7 @@ def sweep():
     stiffness = {f"e.C.{i}.{j}": (i + j / 10, None) for i in range(1, 7) for j in range(1, 7)}
     columns = {"run": ("0000", "0001"), "porosity": (0.5, 0.6), "seed": (3, 4), "status": ("done", "failed")}
     columns |= {"error": (None, "no"), **stiffness, "e.E.1": (1.0, 2.0), "e.E.3": (1.0, 2.0), "e.n": (1, 2)}
-    return Table(columns, units={name: "MPa" for name in stiffness})
+    return Table(columns, units=dict.fromkeys(stiffness, "MPa"))
 
 
 def test_a_frame_of_pandas_has_the_columns_as_they_are():

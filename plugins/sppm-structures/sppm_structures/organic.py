@@ -113,7 +113,7 @@ class Organic(PartFieldMaker):
     """
 
     name: ClassVar[str] = "field.organic"
-    draws: ClassVar[bool] = True
+    is_random: ClassVar[bool] = True
 
     spacing: Length = options.spacing(Length(0.25))
     pore_radius: Length | None = options.pore_radius(None, note="0.45 spacings if omitted")

@@ -52,7 +52,7 @@ class Spinodoid(FieldMaker):
     """
 
     name: ClassVar[str] = "field.spinodoid"
-    draws: ClassVar[bool] = True
+    is_random: ClassVar[bool] = True
 
     wavenumber: float = option(
         5.0, help="periods along an edge of the cell of the waves, about the number of pores", minimum=1, maximum=64

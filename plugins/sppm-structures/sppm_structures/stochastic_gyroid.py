@@ -77,7 +77,7 @@ class StochasticGyroid(FieldMaker):
     """
 
     name: ClassVar[str] = "field.stochastic_gyroid"
-    draws: ClassVar[bool] = True
+    is_random: ClassVar[bool] = True
 
     repeat: int = option(3, help="periods along an edge of the cell; of the gyroid", minimum=1, maximum=64)
     half_width: float = option(0.4, help="half the width of a sheet in values of f; its mean", above=0, below=1.5)

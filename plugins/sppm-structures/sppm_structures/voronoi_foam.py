@@ -123,7 +123,7 @@ class Voronoi(PartFieldMaker):
     """
 
     name: ClassVar[str] = "field.voronoi_foam"
-    draws: ClassVar[bool] = True
+    is_random: ClassVar[bool] = True
 
     form: str = option(
         "open", help="form of the solid; struts along the edges, or walls at the faces", choices=("open", "closed")

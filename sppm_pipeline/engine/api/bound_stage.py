@@ -160,7 +160,9 @@ def _entry_of(stage: Any, recipes: dict[str, Any], base: str) -> Any:
     if isinstance(stage, Stage):
         cls = type(stage)
         if not _is_dataclass(cls):
-            raise ConfigError(f"{cls.__name__} is no dataclass, so that it has no options", hint="write @sppm.register above it")
+            raise ConfigError(
+                f"{cls.__name__} is no dataclass, so that it has no options", hint="write @sppm.register above it"
+            )
         if not _is_known(cls):
             register(cls)
         given = {name: (getattr(stage, name), option.default) for name, option in options_of(cls).items()}
@@ -290,7 +292,9 @@ class BoundStage(Generic[Takes, Makes]):
         def __getattr__(self, name: str) -> Any:
             message = f"a step has no attribute {name!r}"
             if not name.startswith("_"):
-                message = f"{self.name}(...) is a step and has not run, so that it has no {name!r}; {self._how_to_run()}"
+                message = (
+                    f"{self.name}(...) is a step and has not run, so that it has no {name!r}; {self._how_to_run()}"
+                )
             raise AttributeError(message)
 
     def _how_to_run(self) -> str:
@@ -446,7 +450,11 @@ def _waits_for_nothing(port: Port) -> bool:
 
 def _check_recipe(step: BoundStage[Any, Any]) -> None:
     recipe = step.recipe
-    if recipe is None or isinstance(recipe, (str, list, tuple)) or (isinstance(recipe, Mapping) and "stage" not in recipe):
+    if (
+        recipe is None
+        or isinstance(recipe, (str, list, tuple))
+        or (isinstance(recipe, Mapping) and "stage" not in recipe)
+    ):
         return
     if isinstance(recipe, (Mapping, BoundStage, Artifact)) or not isinstance(recipe, Iterable):
         raise ConfigError(

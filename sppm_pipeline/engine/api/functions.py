@@ -18,7 +18,6 @@ import textwrap
 import types
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.api.bound_stage import BoundStage, registry
@@ -68,13 +67,17 @@ def _called(cls: type[Stage], runs: bool, artifacts: Sequence[Any], given: dict[
     recipe = given.pop("recipe", None)
     bound: BoundStage[Any, Any] = BoundStage(cls.name, given, recipe, **as_step)
     if runs and not any(value is not None for value in as_step.values()):
-        waits = not all(port.optional for port in ports) or "seed" not in for_run and (cls.draws or recipe is not None)
+        waits = not all(port.optional for port in ports) or (
+            "seed" not in for_run and (cls.is_random or recipe is not None)
+        )
         if artifacts or named or not (waits or bound.is_open):
             return bound(*artifacts, **for_run, **named)
     for name, value in {**for_run, **named, "artifacts": artifacts or None}.items():
         if value is not None:
             raise ConfigError(
-                f"{cls.name} needs artifacts before it can run" if runs else f"{cls.name} is a step here, and runs later",
+                f"{cls.name} needs artifacts before it can run"
+                if runs
+                else f"{cls.name} is a step here, and runs later",
                 hint=f"sppm.{cls.name}(...)(artifact, {name}=...): `{name}` belongs to the second call",
             )
     return bound
@@ -118,7 +121,7 @@ def _documentation(cls: type[Stage]) -> str:
               "    Of a step in a pipeline: its name, and what it takes.", "", "Returns", "-------", makes]  # fmt: skip
     if any(not (port.is_recipe or port.optional) for port in signature_of(cls).ports):
         lines.append("    Without artifacts the step, which is called with them.")
-    elif cls.draws or any(port.is_recipe for port in signature_of(cls).ports):
+    elif cls.is_random or any(port.is_recipe for port in signature_of(cls).ports):
         lines.append("    Without a seed the step, for a recipe or pipeline.")
     return "\n".join(lines)
 

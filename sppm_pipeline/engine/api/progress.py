@@ -1,4 +1,4 @@
-"""Progress of sweeps that Python runs: one line that is written again, in a terminal or below the cell of a notebook."""
+"""Progress of sweeps that Python runs: one line that is written again, in a terminal or below a notebook's cell."""
 
 from __future__ import annotations
 
@@ -22,9 +22,7 @@ class SweepProgress:
         Seconds.
     """
 
-    def __init__(
-        self, total: int, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, total: int, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = stream or sys.stderr
         self._clock = clock
         self._total, self._done, self._failed = total, 0, 0

@@ -18,7 +18,7 @@ from sppm_pipeline.errors import PluginError
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import FAMILIES, Stage
 
-HEAD = '''\
+HEAD = """\
 # Written by `sppm stubs`, from the options and ports of the stages.
 # mypy: disable-error-code="overload-overlap"
 # pyright: reportOverlappingOverload=false
@@ -30,7 +30,7 @@ from sppm_pipeline.engine.api.bound_stage import BoundStage
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import Stage
-'''
+"""
 ALIASES = """
 _Step: TypeAlias = BoundStage[Any, Any] | Stage | Artifact | Mapping[str, Any] | str
 _Recipe: TypeAlias = Sequence[_Step] | Mapping[str, Any] | str
@@ -78,12 +78,16 @@ def _stage_lines(cls: type[Stage], word: str, imported: dict[str, set[str]]) -> 
         makes = "Any" if signature.as_recipe else "list[Path]" if writes else "dict[str, Any]"
     options = [_option(option) for option in options_of(cls).values()]
     recipes = [port for port in signature.ports if port.is_recipe]
-    recipe = [f"recipe: _Recipe | None = ..."] if recipes else []
+    recipe = ["recipe: _Recipe | None = ..."] if recipes else []
     step = f"BoundStage[{taken}, {makes}]"
     needs = any(not port.optional for port in ports)
-    draws = cls.draws or bool(recipes and not recipes[0].optional)
+    draws = cls.is_random or bool(recipes and not recipes[0].optional)
     named = [f"{port.name}: {_port_type(port, imported)} | None = ..." for port in ports]
-    artifacts = f"*artifacts: {' | '.join(dict.fromkeys(_named(t, imported) for p in ports for t in p.types))}" if ports else "*"
+    artifacts = (
+        f"*artifacts: {' | '.join(dict.fromkeys(_named(t, imported) for p in ports for t in p.types))}"
+        if ports
+        else "*"
+    )
     seed = "seed: int" if draws and not needs else "seed: int | None = ..."
     of_run = [seed, "threads: int | None = ...", "output: str | Path | None = ..."]
     of_step = ["id: str | None = ...", "sources: _Sources | None = ..."]

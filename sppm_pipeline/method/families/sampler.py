@@ -34,7 +34,7 @@ class Sampler(Stage):
         Why cells can't be scattered with this sampler; empty if they can.
     """
 
-    draws: ClassVar[bool] = True
+    is_random: ClassVar[bool] = True
     needs_whole_cell: ClassVar[str] = ""
 
     edge: Length | None = options.edge(

@@ -89,12 +89,12 @@ class PoreSet(Artifact):
         points = in_rows(np.array(centers, np.float64), 3, "pore centers")
         cell = Cell() if edge is None else Cell(parse_length(edge).mm(), physical=True)
         if edge is not None:
-            points = points / cell.edge
-            if len(points) and np.isfinite(points).all() and not -_ROUNDING <= points.min() <= points.max() <= 1 + _ROUNDING:
-                low, high = points.min() * cell.edge, points.max() * cell.edge
+            low, high = np.min(points, initial=0), np.max(points, initial=0)
+            if not -_ROUNDING <= low / cell.edge <= high / cell.edge <= 1 + _ROUNDING and np.isfinite(points).all():
                 raise ValueError(
                     f"pore centers lie in the cell, from 0 to {cell.edge:g} mm, got {low:g} to {high:g} mm"
                 )
+            points = points / cell.edge
         pores = cls(cell, points, np.zeros(len(points), np.int32), spacing=spacing)
         pores.check()
         return pores

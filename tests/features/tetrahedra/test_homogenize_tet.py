@@ -157,4 +157,6 @@ def test_a_mesh_without_the_box_of_its_cell_is_refused_before_the_run(tmp_path):
     with pytest.raises(sppm.ConfigError, match=r"'read.volume_mesh' makes has no periodic box") as caught:
         sppm.Pipeline([read, sppm.step.homogenize.tet()]).check()
     assert "`cell` to `mesh.tetwild`" in str(caught.value.hint)
-    sppm.Pipeline([sppm.step.read.volume_mesh(path=str(tmp_path / "a.vtu"), periodic=True), sppm.step.homogenize.tet()]).check()
+    sppm.Pipeline(
+        [sppm.step.read.volume_mesh(path=str(tmp_path / "a.vtu"), periodic=True), sppm.step.homogenize.tet()]
+    ).check()
