@@ -31,7 +31,7 @@ from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"
-BY_HAND = ("yaml.md", "python.md")
+BY_HAND = ("yaml.md", "python.md", "python-examples.md")
 # fmt: off
 PARTS = (
     "Blocks", "Bounds", "Cell", "CellDesign", "CellFrame", "Cloud", "EncodedLayers", "Geometry", "Grid",
@@ -70,7 +70,8 @@ def index_page(registry: Registry) -> str:
         NOTICE,
         "* [The YAML file](yaml.md): layout, wiring, parameters, sweeps, recipes, plugins, exit codes",
         "* [The command line](cli.md): every verb with its arguments",
-        "* [Python](python.md): pipelines, stages as functions, and what plugins import",
+        "* [Python](python.md): pipelines, stages as functions, and what plugins import; "
+        "[examples](python-examples.md) of all public names",
         "* [Data](#data): what passes between stages, with shapes, units and the order of axes",
         "* The stages, by family, below. `sppm stages NAME` prints the same in the terminal, for plugins, too.",
         "",

@@ -45,12 +45,12 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline import numerics as numerics
     from sppm_pipeline import pictures as pictures
     from sppm_pipeline import testing as testing
-    from sppm_pipeline.engine.api.bound_stage import SppmWarning as SppmWarning
-    from sppm_pipeline.engine.api.bound_stage import register as register
     from sppm_pipeline.engine.api.functions import param as param
+    from sppm_pipeline.engine.api.monitor import SppmWarning as SppmWarning
     from sppm_pipeline.engine.api.pipeline import Pipeline as Pipeline
     from sppm_pipeline.engine.api.pipeline import load as load
     from sppm_pipeline.engine.api.pipeline import run as run
+    from sppm_pipeline.engine.api.registering import register as register
     from sppm_pipeline.engine.api.run import Run as Run
     from sppm_pipeline.engine.api.stages import check as check
     from sppm_pipeline.engine.api.stages import connect as connect
@@ -149,9 +149,10 @@ else:  # type checkers would take it for a promise of every name
 
 
 _PLACES = {
-    "engine.api.bound_stage": "SppmWarning register",
     "engine.api.functions": "param",
+    "engine.api.monitor": "SppmWarning",
     "engine.api.pipeline": "Pipeline load run",
+    "engine.api.registering": "register",
     "engine.api.run": "Run",
     "engine.api.stages": "check connect crush design extract field fill fix grade homogenize measure mesh read sample "
     "slice step tile tileset tune warp write",

@@ -87,9 +87,9 @@ def cell(
     (4.0, 3)
     """
     # late: presets are listed without the program of plans and runs
-    from sppm_pipeline.engine.api.bound_stage import registry
     from sppm_pipeline.engine.api.functions import make_function
     from sppm_pipeline.engine.api.pipeline import Pipeline
+    from sppm_pipeline.engine.api.registering import registry
     from sppm_pipeline.engine.config.document import as_node, plain
     from sppm_pipeline.engine.config.options import options_of, plain_option
     from sppm_pipeline.engine.config.presets import stages_of

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import shutil
-import sys
 import tempfile
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -16,19 +13,18 @@ from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
-import sppm_pipeline
+from sppm_pipeline.engine.api.monitor import WarningMonitor
+from sppm_pipeline.engine.api.registering import is_dataclass_itself, is_known, register, registry
 from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
 from sppm_pipeline.engine.config.document import Entry, compose
 from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option, with_current_names
 from sppm_pipeline.engine.config.problems import did_you_mean, raise_problems
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
-from sppm_pipeline.engine.plan.plugins import REGISTERED, allowed_plugins, load_plugins, register_stage
 from sppm_pipeline.engine.plan.ports import Port, fits, port_words, signature_of
-from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.engine.run.events import Monitor, Observers
+from sppm_pipeline.engine.run.events import Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.run.runner import StepRunner, available_threads
-from sppm_pipeline.errors import ConfigError, PluginError, WiringError
+from sppm_pipeline.errors import ConfigError, WiringError
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.stage import Stage
 
@@ -38,34 +34,7 @@ RECIPE = "recipe"
 Takes = TypeVar("Takes")
 Makes = TypeVar("Makes", covariant=True)
 
-_PACKAGE = os.path.dirname(str(sppm_pipeline.__file__)) + os.sep
 _PLACEHOLDER = "${"
-
-
-class SppmWarning(UserWarning):
-    """Something that does not stop a run, for instance tunnels that the resolution can't show.
-
-    >>> import warnings, sppm_pipeline as sppm
-    >>> warnings.filterwarnings("ignore", category=sppm.SppmWarning, message="nothing says so")
-    """
-
-
-class WarningMonitor(Monitor):
-    """Turns what a run warns of into Python's warnings, at the line of the caller outside of this package."""
-
-    def __init__(self) -> None:
-        frame = sys._getframe(1)
-        # here and not in `warning`, which threads of the run call
-        while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
-            frame = frame.f_back
-        self._file, self._line = frame.f_code.co_filename, frame.f_lineno
-        self._module = str(frame.f_globals.get("__name__", "__main__"))
-        self._registry = frame.f_globals.setdefault("__warningregistry__", {})
-
-    def warning(self, stage: str | None, message: str) -> None:
-        """See `Monitor.warning`."""
-        text = f"{stage}: {message}" if stage else message
-        warnings.warn_explicit(text, SppmWarning, self._file, self._line, self._module, self._registry)
 
 
 class MissingSeed(int):
@@ -73,70 +42,6 @@ class MissingSeed(int):
 
     def __str__(self) -> str:
         raise ConfigError("this stage draws random numbers, but has no seed", hint="give a seed, for example seed=1")
-
-
-_LOADED: list[tuple[object, Registry]] = []
-
-
-def registry() -> Registry:
-    """All stages of the program, of installed plugins, and those that this process has registered."""
-    known = tuple(REGISTERED.stages.items())
-    if not _LOADED or _LOADED[0][0] != known:
-        plugins = load_plugins(distributions=True, allowed=allowed_plugins())
-        plugins.raise_broken()
-        _LOADED[:] = [(known, Registry(plugins))]
-    return _LOADED[0][1]
-
-
-C = TypeVar("C", bound=type[Stage])
-
-
-def register(cls: C) -> C:
-    """Make a class of stages known to this process: its function is there at once, and recipes may name it.
-
-    It is made a frozen, keyword-only dataclass if it is none. Objects of a class that is one can stand in recipes and
-    pipelines without this. What a notebook defines is not kept between runs, as no file says what it does; a class
-    registered again replaces the earlier one.
-
-    Parameters
-    ----------
-    cls : subclass of Stage
-
-    Returns
-    -------
-    type
-        `cls`, so that this can decorate it.
-
-    Raises
-    ------
-    PluginError
-        If the class breaks the contract of stages, or another plugin supplies one of this name.
-
-    Examples
-    --------
-    >>> import sppm_pipeline as sppm
-    >>> @sppm.register
-    ... class Grid(sppm.Sampler):
-    ...     "Pores on a grid."
-    ...     name = "sample.grid_of_eight"
-    ...     def throw(self, rng, box):
-    ...         import numpy as np
-    ...         return (np.indices((2, 2, 2)).reshape(3, -1).T + 0.5) / 2
-    >>> len(sppm.sample.grid_of_eight(seed=1).centers)
-    8
-    """
-    if isinstance(cls, type) and issubclass(cls, Stage) and not _is_dataclass(cls):
-        cls = cast("C", dataclass(frozen=True, kw_only=True)(cls))
-    before = REGISTERED.stages.get(getattr(cls, "name", ""))
-    name = register_stage(cls)
-    try:
-        registry().get(name)
-    except PluginError:
-        del REGISTERED.stages[name]
-        if before is not None:
-            REGISTERED.stages[name] = before
-        raise
-    return cls
 
 
 def entries_of(stages: Iterable[Any], recipes: dict[str, Any], base: str = RECIPE) -> list[Any]:
@@ -159,11 +64,11 @@ def _entry_of(stage: Any, recipes: dict[str, Any], base: str) -> Any:
         stage = made_by
     if isinstance(stage, Stage):
         cls = type(stage)
-        if not _is_dataclass(cls):
+        if not is_dataclass_itself(cls):
             raise ConfigError(
                 f"{cls.__name__} is no dataclass, so that it has no options", hint="write @sppm.register above it"
             )
-        if not _is_known(cls):
+        if not is_known(cls):
             register(cls)
         given = {name: (getattr(stage, name), option.default) for name, option in options_of(cls).items()}
         return {"stage": cls.name, **{name: plain_option(one) for name, (one, usual) in given.items() if one != usual}}
@@ -179,16 +84,6 @@ def _entry_of(stage: Any, recipes: dict[str, Any], base: str) -> Any:
     if stage.recipe is not None:
         entry["recipe"] = _recipe_name(stage, recipes, base)
     return {**entry, **stage.options}
-
-
-def _is_dataclass(cls: type) -> bool:
-    """Whether the class is one itself, and not only its base."""
-    return "__dataclass_fields__" in vars(cls)
-
-
-def _is_known(cls: type[Stage]) -> bool:
-    known = registry()
-    return cls.name in known and known.get(cls.name) is cls
 
 
 def _recipe_name(stage: BoundStage[Any, Any], recipes: dict[str, Any], base: str) -> Any:

@@ -20,7 +20,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from sppm_pipeline.engine.api.bound_stage import BoundStage, registry
+from sppm_pipeline.engine.api.bound_stage import BoundStage
+from sppm_pipeline.engine.api.registering import registry
 from sppm_pipeline.engine.config.options import allowed_words, options_of
 from sppm_pipeline.engine.plan.describe import default_words, makes_words
 from sppm_pipeline.engine.plan.ports import port_words, signature_of

@@ -11,7 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.api.bound_stage import WarningMonitor, entries_of
+from sppm_pipeline.engine.api.bound_stage import entries_of
+from sppm_pipeline.engine.api.monitor import WarningMonitor
 from sppm_pipeline.engine.api.run import Run
 from sppm_pipeline.engine.cache.housekeeping import cache_folder
 from sppm_pipeline.engine.config.configuration import FORMAT

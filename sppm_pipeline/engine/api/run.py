@@ -8,8 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.api.bound_stage import WarningMonitor
-from sppm_pipeline.engine.api.progress import SweepProgress
+from sppm_pipeline.engine.api.monitor import SweepProgress, WarningMonitor
 from sppm_pipeline.engine.cache.housekeeping import open_store
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.config.document import plain

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sppm_pipeline as sppm
-from sppm_pipeline.engine.api.bound_stage import registry
+from sppm_pipeline.engine.api.registering import registry
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError

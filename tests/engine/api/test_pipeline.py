@@ -176,7 +176,7 @@ def test_numbers_that_are_not_there_are_answered_by_those_that_are(capsys):
 
 
 def test_progress_of_a_sweep_is_one_line_that_is_written_again():
-    from sppm_pipeline.engine.api.progress import SweepProgress
+    from sppm_pipeline.engine.api.monitor import SweepProgress
 
     class Terminal(io.StringIO):
         def isatty(self):

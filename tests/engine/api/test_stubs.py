@@ -57,7 +57,11 @@ def errors_of(command, tmp_path):
     file.write_text(CODE + "\n".join(MISTAKES) + "\n", encoding="utf-8")
     found = subprocess.run([*command, str(file)], capture_output=True, text=True, cwd=ROOT).stdout
     lines = [line for line in found.splitlines() if ": error:" in line or " - error:" in line]
-    return {int(line.split("script.py:")[1].split(":")[0]): line for line in lines}, found
+    by_line: dict[int, str] = {}
+    for line in lines:
+        number = int(line.split("script.py:")[1].split(":")[0])
+        by_line[number] = by_line.get(number, "") + line
+    return by_line, found
 
 
 CHECKERS = {"mypy": [sys.executable, "-m", "mypy"], "pyright": ["pyright", "--pythonpath", sys.executable]}
@@ -80,9 +84,8 @@ def test_help_lists_options_with_unit_bounds_and_default():
     text = pydoc.plain(pydoc.render_doc(sppm.field.gaussian))
     assert text.splitlines()[0].endswith("function gaussian in module sppm_pipeline")
     assert "graph : TunnelGraph" in text
-    assert "level : a number, above 0, below 1" in " ".join(text.split())
-    assert "a length in cell size" in text
-    assert "default 0.25" in text
+    assert "level : a number, at least 0.001, at most 0.999; default 0.25" in text
+    assert "pore_radius : a length in cell size, above 0" in text
     listed = pydoc.plain(pydoc.render_doc(sppm.fix))
     assert "drains(*artifacts" in listed
     assert "fill(*artifacts" in listed

@@ -1,11 +1,44 @@
-"""Progress of sweeps that Python runs: one line that is written again, in a terminal or below a notebook's cell."""
+"""What Python shows of runs: warnings at the line of the caller, and the progress of sweeps."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from typing import TextIO
+
+import sppm_pipeline
+from sppm_pipeline.engine.run.events import Monitor
+
+_PACKAGE = os.path.dirname(str(sppm_pipeline.__file__)) + os.sep
+
+
+class SppmWarning(UserWarning):
+    """Something that does not stop a run, for instance tunnels that the resolution can't show.
+
+    >>> import warnings, sppm_pipeline as sppm
+    >>> warnings.filterwarnings("ignore", category=sppm.SppmWarning, message="nothing says so")
+    """
+
+
+class WarningMonitor(Monitor):
+    """Turns what a run warns of into Python's warnings, at the line of the caller outside of this package."""
+
+    def __init__(self) -> None:
+        frame = sys._getframe(1)
+        # here and not in `warning`, which threads of the run call
+        while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+            frame = frame.f_back
+        self._file, self._line = frame.f_code.co_filename, frame.f_lineno
+        self._module = str(frame.f_globals.get("__name__", "__main__"))
+        self._registry = frame.f_globals.setdefault("__warningregistry__", {})
+
+    def warning(self, stage: str | None, message: str) -> None:
+        """See `Monitor.warning`."""
+        text = f"{stage}: {message}" if stage else message
+        warnings.warn_explicit(text, SppmWarning, self._file, self._line, self._module, self._registry)
 
 
 class SweepProgress:
