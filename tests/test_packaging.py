@@ -92,7 +92,9 @@ def test_each_example_is_found_by_name(environment, tmp_path):
 def test_the_archives_are_complete(built):
     (wheel,), (source,) = built.glob("*.whl"), built.glob("*.tar.gz")
     inside = zipfile.ZipFile(wheel).namelist()
-    assert {"sppm_pipeline/py.typed", "sppm_pipeline/engine/plan/rates.json"} <= set(inside)
+    assert {f"sppm_pipeline/{name}" for name in ("py.typed", "engine/api/stages.pyi", "engine/plan/rates.json")} <= set(
+        inside
+    )
     assert any(name.endswith("licenses/LICENSE") for name in inside)
     for folder in ("configs", "examples"):
         for file in (ROOT / folder).iterdir():

@@ -18,11 +18,19 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 LESSONS = DOCS / "tutorial" / "beside-other-libraries.md"
 TASKS = DOCS / "howto" / "work-in-python.md"
 EXAMPLES = DOCS / "reference" / "python-examples.md"
-BLOCK = re.compile(r"^```python ?(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
-def blocks(path):
-    return BLOCK.findall(path.read_text(encoding="utf-8"))
+def blocks(text):
+    return BLOCK.findall(text)
+
+
+TASKS_TEXT = TASKS.read_text(encoding="utf-8")
+START, *PARTS = re.split(r"^## (.+)\n", LESSONS.read_text(encoding="utf-8"), flags=re.MULTILINE)
+BESIDE = {
+    title.lower().replace("scikit-image", "skimage"): text for title, text in zip(*[iter(PARTS)] * 2, strict=True)
+}
+"""Lessons by the module of their library."""
 
 
 @pytest.fixture(autouse=True)
@@ -35,21 +43,21 @@ def _as_a_script(tmp_path, monkeypatch):
     REGISTERED.stages.clear()
 
 
-@pytest.mark.parametrize("library", [name for name, _ in blocks(LESSONS) if name])
+@pytest.mark.parametrize("library", BESIDE)
 def test_a_lesson_runs_where_its_library_is_installed(library):
     pytest.importorskip(library)
     names: dict[str, object] = {}
-    for name, code in blocks(LESSONS):
-        if name in ("", library):
-            exec(compile(code, f"{LESSONS.name}: {name}", "exec"), names)
+    for code in (*blocks(START), *blocks(BESIDE[library])):
+        exec(compile(code, f"{LESSONS.name}: {library}", "exec"), names)
 
 
 def test_the_libraries_of_the_lessons():
-    assert {name for name, _ in blocks(LESSONS)} == {"", "porespy", "openpnm", "pyvista", "skimage", "xarray"}
+    assert set(BESIDE) == {"porespy", "openpnm", "pyvista", "skimage", "xarray"}
+    assert all(blocks(text) for text in (START, *BESIDE.values()))
 
 
 def test_six_tasks_take_ten_lines():
-    (imports,), (code,) = ([c for n, c in blocks(TASKS) if n == name] for name in ("imports", "tasks"))
+    imports, code, _ = blocks(TASKS_TEXT)
     lines = [line for line in code.splitlines() if line.strip() and not line.startswith("#")]
     assert len(lines) <= 10
     assert code.count("\n# ") + code.startswith("# ") == 6
@@ -67,7 +75,7 @@ def test_six_tasks_take_ten_lines():
 
 
 def test_steps_and_runs_are_what_the_page_says():
-    ((_, code),) = [one for one in blocks(TASKS) if not one[0]]
+    code = blocks(TASKS_TEXT)[2]
     names: dict[str, object] = {}
     exec(compile(code, TASKS.name, "exec"), names)
     assert isinstance(names["throw"], sppm.nouns.BoundStage)

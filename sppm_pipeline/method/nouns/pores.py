@@ -89,7 +89,7 @@ class PoreSet(Artifact):
         points = in_rows(np.array(centers, np.float64), 3, "pore centers")
         cell = Cell() if edge is None else Cell(parse_length(edge).mm(), physical=True)
         if edge is not None:
-            low, high = np.min(points, initial=0), np.max(points, initial=0)
+            low, high = (points.min(), points.max()) if points.size else (0.0, 0.0)
             if not -_ROUNDING <= low / cell.edge <= high / cell.edge <= 1 + _ROUNDING and np.isfinite(points).all():
                 raise ValueError(
                     f"pore centers lie in the cell, from 0 to {cell.edge:g} mm, got {low:g} to {high:g} mm"

@@ -1,5 +1,6 @@
 """What type checkers, editors and `help` know of stages: from their options and ports."""
 
+import inspect
 import pydoc
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.stubs import stub_text
 
@@ -35,7 +37,7 @@ MISTAKES = {
     "sppm.connect.mbdst(cell, seed=1)": "Microstructure",
     "sppm.field.gaussian(pore_radius=0.1)(pores)": "PoreSet",
     "throw.centers": "centers",
-    "sppm.connect.mbdst(pores, mode='greedyy')": "greedyy",
+    "sppm.connect.mbdst(pores, mode='greedyy')": "mbdst",
 }
 
 
@@ -80,12 +82,21 @@ def test_mistakes_are_found_before_anything_runs(checker, tmp_path):
             assert word in errors[line]
 
 
+def test_stages_that_start_and_draw_random_numbers_say_so():
+    registry = Registry(load_plugins(distributions=False))
+    starting = [cls for cls in map(registry.get, registry) if all(port.optional for port in signature_of(cls).ports)]
+    drawing = {c.name for c in starting if "context.rng" in inspect.getsource(sys.modules[c.__module__])}
+    random = {cls.name for cls in starting if cls.is_random}
+    assert {"sample.dart_throwing", "sample.mirrored_faces"} <= drawing <= random
+    assert "read.primitive" not in random
+
+
 def test_help_lists_options_with_unit_bounds_and_default():
     text = pydoc.plain(pydoc.render_doc(sppm.field.gaussian))
     assert text.splitlines()[0].endswith("function gaussian in module sppm_pipeline")
     assert "graph : TunnelGraph" in text
     assert "level : a number, at least 0.001, at most 0.999; default 0.25" in text
-    assert "pore_radius : a length in cell size, above 0" in text
+    assert "pore_radius : a length in cell size" in text
     listed = pydoc.plain(pydoc.render_doc(sppm.fix))
     assert "drains(*artifacts" in listed
     assert "fill(*artifacts" in listed

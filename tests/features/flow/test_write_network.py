@@ -21,7 +21,8 @@ LEVEL, RADIUS = 0.25, 0.1
 
 
 def structure(centers, edges, shift, radius=RADIUS, edge="4 mm", pore=0.02):
-    graph = TunnelGraph.from_arrays(PoreSet.from_array(centers, edge=edge), edges, shift)
+    placed = np.array(centers) * (1.0 if edge is None else 4.0)  # mm
+    graph = TunnelGraph.from_arrays(PoreSet.from_array(placed, edge=edge), edges, shift)
     profile = TUNNEL_PROFILES["squared"]
     mu = np.full(len(edges), profile.mu(radius, LEVEL, "tunnel radius"))
     omega = np.full(len(centers), omega_from_radius(pore, LEVEL))
