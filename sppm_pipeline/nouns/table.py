@@ -108,7 +108,7 @@ class Table(Artifact):
         for name, members in self._arrays().items():
             columns = [self.columns[member] for member in members]
             if not all(isinstance(value, (bool, int, float, type(None))) for column in columns for value in column):
-                found = np.array(columns[0], object if None in columns[0] else None)
+                found = np.array(self.texts(members[0]))
             elif all(type(value) is int for column in columns for value in column):
                 found = np.array(columns, np.int64).T
             else:

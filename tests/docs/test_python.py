@@ -15,7 +15,7 @@ import sppm_pipeline as sppm
 from sppm_pipeline.engine.plan.plugins import REGISTERED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-LESSONS = DOCS / "tutorial" / "beside-other-libraries.md"
+LESSONS = DOCS / "howto" / "beside-other-libraries.md"
 TASKS = DOCS / "howto" / "work-in-python.md"
 EXAMPLES = DOCS / "reference" / "python-examples.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)

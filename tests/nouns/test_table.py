@@ -72,7 +72,7 @@ def test_a_dataset_of_xarray_has_arrays_for_what_was_counted():
     assert found["e.C"].attrs == {"units": "MPa"}
     # of an array that lacks entries each stands for itself
     assert found["e.E.3"].values.tolist() == [1, 2]
-    assert found["error"].values.tolist() == [None, "no"]
+    assert found["error"].values.tolist() == ["", "no"]
 
 
 def test_units_are_no_part_of_the_value():

@@ -37,6 +37,7 @@ class MirroredFaces(Stage):
     """
 
     name: ClassVar[str] = "sample.mirrored_faces"
+    is_random: ClassVar[bool] = True
 
     count: int | None = options.count(
         None, note="on the faces, edges and corners of one cell, those that are shared counted once"
