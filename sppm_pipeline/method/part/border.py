@@ -36,6 +36,9 @@ PER_DIAMETER = 6
 """Spacings of the grid in the diameter of the ball. Solid that is thicker than the diameter by less than half a spacing
 may still be lost, as its middle lies between nodes: a twelfth of the diameter. Twice as many take eight times as long."""
 
+ROOM = 1.0
+LEAST = 2.0
+
 BLOCK_SAMPLES = 2**22
 """Nodes of the grid that are made at a time: some bytes of memory for each. Only speed."""
 
@@ -79,8 +82,8 @@ class BorderSampler:
         self._part = part
         self._edge = part.physical_edge()
         self._h = border.thinnest_mm / PER_DIAMETER
-        self._radius = PER_DIAMETER / 2
-        self._least = self._radius / 2
+        self._radius = PER_DIAMETER / 2 + ROOM
+        self._least = LEAST
         self._eroded_within = math.ceil(self._radius) + 1
         self._grown_within = min(MAX_REACH, math.ceil(self._radius + max(1.0, spacing / self._h)))
         self.spacing = spacing
