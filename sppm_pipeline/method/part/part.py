@@ -143,7 +143,7 @@ class Part(WrappedField):
         """
         stop = grid.shape[2] if stop is None else stop
         if self.border is not None:
-            field = self._bordered(grid).sample(grid, start, stop, threads)
+            field = self._bordered().sample(grid, start, stop, threads)
             return field, None, np.full_like(field, -1)
         inner = self.base.sample_zyx(grid, start, stop, threads)
         outer = self._in_domain(grid).distance(start, stop)
@@ -178,12 +178,14 @@ class Part(WrappedField):
                     np.maximum(values[window], depth / edge, out=values[window])
         return inner
 
-    def cut_zyx(self, grid: Grid, threads: int, start: int, stop: int) -> tuple[F32, F32 | None, F32, Crossings]:
+    def cut_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int, wanted: I32 | None = None
+    ) -> tuple[F32, F32 | None, F32, Crossings]:
         """`fields_zyx`, and where grid edges that begin in these layers pierce the triangles of the domain.
 
         Of the domain's field only the sign counts where these are known: without a skin and drains, a closed domain is
         -1 inside and 1 outside. Nodes on its surface are outside, whatever way their place is rounded, so that faces
-        are flat.
+        are flat. `wanted` as for `solid_layers`.
         """
         from sppm_pipeline.method.part.crossings import NO_CROSSINGS, on_surface
 
@@ -198,7 +200,10 @@ class Part(WrappedField):
         # a node on the surface is outside whichever way it is rounded, or flat faces would be ragged
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
-        inner = self.base.sample_zyx(grid, start, stop, threads)
+        if wanted is None:
+            inner = self.base.sample_zyx(grid, start, stop, threads)
+        else:
+            inner = self.base.sample_wanted(grid, start, stop, threads, wanted)
         return self._filled_and_drained_field(inner, None, grid, start, stop), None, outer, crossings
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
@@ -212,7 +217,7 @@ class Part(WrappedField):
             _, inside, skin = self._plain()._solid_inside_skin(grid, start, stop, threads) if self.skin_mm else (
                 None, self._in_domain(grid).inside(start, stop), None
             )
-            field = self._bordered(grid).sample(grid, start, stop, threads, row_spans(inside))
+            field = self._bordered().sample(grid, start, stop, threads, row_spans(inside))
             return (field < 0).view(np.uint8), inside, skin
         skin = None
         if not self.skin_mm or self.skin_faces is not None:
@@ -321,15 +326,14 @@ class Part(WrappedField):
         """The part whose solid ends at the surface as it is cut."""
         return replace(self, border=None)
 
-    def _bordered(self, grid: Grid) -> BorderSampler:
-        """The sampler of the solid with its border, for a grid; the last one is kept."""
+    def _bordered(self) -> BorderSampler:
+        """The sampler of the solid with its border."""
         from sppm_pipeline.method.part.border import BorderSampler
 
         assert self.border is not None
-        spacing = max(self.in_mm(grid).spacing)
         sampler = _BORDERS.get(self)
-        if sampler is None or sampler.spacing != spacing:
-            sampler = _BORDERS[self] = BorderSampler(self._plain(), self.border, spacing)
+        if sampler is None:
+            sampler = _BORDERS[self] = BorderSampler(self._plain(), self.border)
         return sampler
 
     def summary(self) -> dict[str, Any]:
