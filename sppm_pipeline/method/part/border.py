@@ -116,9 +116,7 @@ class BorderSampler:
         Beyond the grid of the part, and beside the spans, it is void.
         """
         nx, ny, nz = self._grid.shape
-        places = [
-            (grid.axis(axis) - self._grid.origin[axis]) / self._grid.spacing[axis] for axis in range(3)
-        ]
+        places = [(grid.axis(axis) - self._grid.origin[axis]) / self._grid.spacing[axis] for axis in range(3)]
         out = np.full((stop - start, *grid.shape[1::-1]), self._void)
         z = places[2][start:stop]
         inside = np.flatnonzero((z >= 0) & (z < nz - 1))
@@ -231,7 +229,12 @@ def _interpolate(planes: I16, z: F64, y: F64, x: F64, spans: I32, unit: np.float
                 continue
             wy = np.float32(y[j] - front)
             a, b = max(0, int(x[first])), min(nx, int(x[last - 1]) + 2)
-            p, q, r, s = planes[below, front], planes[below, front + 1], planes[below + 1, front], planes[below + 1, front + 1]
+            p, q, r, s = (
+                planes[below, front],
+                planes[below, front + 1],
+                planes[below + 1, front],
+                planes[below + 1, front + 1],
+            )
             for i in range(a, b):
                 low = (np.float32(1) - wy) * np.float32(p[i]) + wy * np.float32(q[i])
                 high = (np.float32(1) - wy) * np.float32(r[i]) + wy * np.float32(s[i])

@@ -112,9 +112,7 @@ def across_planes(upright: U8, flat: U16, spans: I32, below: int, reach: int, th
     return out
 
 
-def core_field(
-    solid: U8, depth: U16, within: U16, spans: I32, radius: float, least: float, threads: int = 1
-) -> F32:
+def core_field(solid: U8, depth: U16, within: U16, spans: I32, radius: float, least: float, threads: int = 1) -> F32:
     """Field of the core, negative inside, (planes, ny, nx) in spacings: the places of the middles of balls.
 
     Those are where the ball fits into the solid (`depth`, squared distances from its surface) and into the domain
@@ -386,9 +384,7 @@ def _in_planes(cx: U8, cy: U8, spans: I32, start: int, stop: int, reach: int, fl
 
 
 @jit
-def _across_planes(
-    flat: U16, cz: U8, spans: I32, below: int, start: int, stop: int, reach: int, out: U16
-) -> None:
+def _across_planes(flat: U16, cz: U8, spans: I32, below: int, start: int, stop: int, reach: int, out: U16) -> None:
     """Squared distances from those in planes, and from crossings between planes."""
     n, ny, nx = flat.shape
     upright, spread = np.empty((ny, nx), np.uint16), np.empty((ny, nx), np.uint16)

@@ -143,7 +143,7 @@ class Part(WrappedField):
         """
         stop = grid.shape[2] if stop is None else stop
         if self.border is not None:
-            field = self._bordered().sample(grid, start, stop, threads)
+            field = self._drained(self._bordered().sample(grid, start, stop, threads), grid, start, stop)
             return field, None, np.full_like(field, -1)
         inner = self.base.sample_zyx(grid, start, stop, threads)
         outer = self._in_domain(grid).distance(start, stop)
@@ -172,11 +172,16 @@ class Part(WrappedField):
         layers, margin = world.layers(start, stop), 2 * max(world.spacing)
         for window, depth in depths_in_capsules(layers, self.fills, margin):
             np.minimum(inner[window], depth / -edge, out=inner[window])
-        for window, depth in depths_in_capsules(layers, self.drains, margin):
-            for values in (inner, skin):
-                if values is not None:
-                    np.maximum(values[window], depth / edge, out=values[window])
-        return inner
+        if skin is not None:
+            self._drained(skin, grid, start, stop)
+        return self._drained(inner, grid, start, stop)
+
+    def _drained(self, field: F32, grid: Grid, start: int, stop: int) -> F32:
+        """A field without what drains take away from the border, which may have thickened what is beside them."""
+        world, edge = self.in_mm(grid), np.float32(self.physical_edge())
+        for window, depth in depths_in_capsules(world.layers(start, stop), self.drains, 2 * max(world.spacing)):
+            np.maximum(field[window], depth / edge, out=field[window])
+        return field
 
     def cut_zyx(
         self, grid: Grid, threads: int, start: int, stop: int, wanted: I32 | None = None
@@ -214,11 +219,13 @@ class Part(WrappedField):
         from sppm_pipeline.method.assembly.occupancy import row_spans
 
         if self.border is not None:
-            _, inside, skin = self._plain()._solid_inside_skin(grid, start, stop, threads) if self.skin_mm else (
-                None, self._in_domain(grid).inside(start, stop), None
+            _, inside, skin = (
+                self._plain()._solid_inside_skin(grid, start, stop, threads)
+                if self.skin_mm
+                else (None, self._in_domain(grid).inside(start, stop), None)
             )
             field = self._bordered().sample(grid, start, stop, threads, row_spans(inside))
-            return (field < 0).view(np.uint8), inside, skin
+            return (self._drained(field, grid, start, stop) < 0).view(np.uint8), inside, skin
         skin = None
         if not self.skin_mm or self.skin_faces is not None:
             domain = self._in_domain(grid)

@@ -107,6 +107,16 @@ class ImplicitFill(Stage):
 
     def check_options(self) -> None:
         """Drains that are open, and faces to choose only for a skin."""
+        if self.border == "cut" and self.thinnest is not None:
+            raise ConfigError("`thinnest` is what a border leaves, and there is none", hint="give `border: round`")
+        if self.border != "cut" and self.skin is not None:
+            least = 2 * (self.thinnest or THINNEST).mm()
+            if self.skin.mm() < least:
+                raise ConfigError(
+                    f"a skin of {self.skin.mm():g} mm is not sure to stay whole; with a border it is twice as thick as "
+                    f"`thinnest`, {least:g} mm, or more",
+                    hint="make the skin thicker, or `thinnest` smaller",
+                )
         if self.skin is None and self._chooses:
             raise ConfigError("faces are chosen for a skin, and there is none", hint="give `skin: 1 mm`")
         for number, direction in enumerate(self.skin_toward, 1):
