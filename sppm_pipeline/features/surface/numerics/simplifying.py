@@ -5,7 +5,8 @@ sum of both quadrics is least (Garland and Heckbert 1997, "Surface simplificatio
 go in passes with rising bounds of the error, so that no queue is kept. A collapse is refused if it would change the
 topology (the link condition of Dey et al. 1999: the two ends have exactly two neighbors in common), move a vertex or
 the middle of a changed triangle farther than the tolerance from the surface given, turn a triangle over, or leave one
-that is flatter than `FLATTEST` and than any before. Vertices at boundaries and non-manifold edges stay.
+that is flatter than `FLATTEST` and than
+it was, unless there are fewer such triangles then. Vertices at boundaries and non-manifold edges stay.
 
 The distance of a point is taken from the triangles around the vertex of the given surface that is nearest to it: the
 distance from the surface, or in rare cases more.
@@ -21,7 +22,7 @@ from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.nearest import squared_to_triangle
 
-BOUNDS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.0)
+BOUNDS = (0.05, 0.15, 0.3, 0.5, 0.8, 1.0, 1.0)
 """Largest root of the mean squared distance from planes in each pass, as fractions of the tolerance. The distance is
 tested apart from this; twice as many passes leave 2 % less triangles, for half as much time again."""
 
@@ -56,15 +57,16 @@ def simplify(vertices: F64, faces: I32, tolerance: float) -> Simplified:
     quadrics, locked = np.zeros((n, 11), np.float32), np.zeros(n, np.uint8)
     points, triangles = given.copy(), given_faces.copy()
     _prepare(points, triangles, first, around, quadrics, locked)
-    farthest = np.zeros(1)
+    farthest, tried = np.zeros(1), np.zeros(triangles.shape, np.uint8)
     incident = first, around
     for bound in BOUNDS:
         alive = np.ones(len(triangles), np.uint8)
         _collapse(
             points, triangles, alive, *incident, quadrics, locked, np.zeros(n, np.int64), (bound * tolerance) ** 2,
-            tolerance**2, given, given_faces, first, around, *cells, farthest,
+            tolerance**2, given, given_faces, first, around, *cells, tried, farthest,
         )  # fmt: skip
-        triangles = np.ascontiguousarray(triangles[alive.view(np.bool_)])
+        stays = alive.view(np.bool_)
+        triangles, tried = triangles[stays], tried[stays]
         incident = _incident(triangles, n)
     used, numbered = np.unique(triangles, return_inverse=True)
     return Simplified(points[used], numbered.reshape(-1, 3).astype(np.int32), float(np.sqrt(farthest[0])))
@@ -245,9 +247,12 @@ def _least(q: F64, half: F64, at: F64) -> float:
 @jit
 def _squared_from(
     x: float, y: float, z: float, given: F64, given_faces: I32, first: I32, around: I32, low: F64, size: float,
-    shape: I64, cell_first: I32, held: I32, t: F64,
+    shape: I64, cell_first: I32, held: I32, t: F64, enough: float,
 ) -> float:  # fmt: skip
-    """Squared distance of a point from the triangles around the nearest given vertex; infinite if none is near."""
+    """Squared distance of a point from the triangles around the nearest given vertex; infinite if none is near.
+
+    A bound of it that is small `enough` will do.
+    """
     i, j, k = int((x - low[0]) / size), int((y - low[1]) / size), int((z - low[2]) / size)
     if not (0 < i < shape[0] - 1 and 0 < j < shape[1] - 1 and 0 < k < shape[2] - 1):
         return np.inf
@@ -267,6 +272,8 @@ def _squared_from(
             for axis in range(3):
                 t[c, axis] = given[given_faces[f, c], axis]
         best = min(best, squared_to_triangle(t, x, y, z))
+        if best <= enough:
+            break
     return best
 
 
@@ -274,18 +281,21 @@ def _squared_from(
 def _collapse(
     points: F64, faces: I32, alive: U8, first: I32, around: I32, quadrics: F32, locked: U8, mark: I64, bound: float,
     tolerance: float, given: F64, given_faces: I32, given_first: I32, given_around: I32, low: F64, size: float,
-    shape: I64, cell_first: I32, held: I32, farthest: F64,
+    shape: I64, cell_first: I32, held: I32, tried: U8, farthest: F64,
 ) -> None:  # fmt: skip
     """One pass: collapse all edges of both whose ends none has collapsed yet, whose mean error is within the bound."""
     touched = np.zeros(len(points), np.uint8)
     q, at, half, t = np.empty(11), np.empty(3), np.empty(3), np.empty((3, 3))
-    before, after, old = np.empty(3), np.empty(3), np.empty((2, 3))
+    before, after, ring, old = np.empty(3), np.empty(3), np.empty(3), np.empty((2, 3))
     stamp = np.int64(0)
     for f in range(len(faces)):
         for corner in range(3):
             if not alive[f]:
                 break
             i, j = faces[f, corner], faces[f, (corner + 1) % 3]
+            # an edge is tried once until something beside it changes
+            if i > j or tried[f, corner]:
+                continue
             if touched[i] or touched[j] or locked[i] or locked[j]:
                 continue
             for axis in range(3):
@@ -296,6 +306,7 @@ def _collapse(
             error = _least(q, half, at)
             if not error <= bound * q[10]:
                 continue
+            tried[f, corner] = 1
             # the ends have two neighbors in common, and two triangles
             stamp += 3
             shared, common = 0, 0
@@ -318,16 +329,20 @@ def _collapse(
             for axis in range(3):
                 old[0, axis], old[1, axis] = points[i, axis], points[j, axis]
                 at[axis] += (old[0, axis] + old[1, axis]) / 2
-            worst = _squared_from(
-                at[0], at[1], at[2], given, given_faces, given_first, given_around, low, size, shape, cell_first, held, t
-            )
-            fits = worst <= tolerance
-            # with both ends moved there, what becomes of the other triangles
+            # with both ends moved there, what becomes of the other triangles: their shape, then where they are
+            fits, worst = True, 0.0
+            ring[:] = 0.0
+            flat, flatter = 0, False
             for side in range(2):
                 v, other = (i, j) if side == 0 else (j, i)
                 for g in around[first[v] : first[v + 1]]:
-                    if not fits:
-                        break
+                    a, b, c = faces[g, 0], faces[g, 1], faces[g, 2]
+                    if alive[g] and (side == 0 or not (a == other or b == other or c == other)):
+                        flat += _normal(points, a, b, c, before) < FLATTEST
+                        ring += before
+            for side in range(2):
+                v, other = (i, j) if side == 0 else (j, i)
+                for g in around[first[v] : first[v + 1]]:
                     a, b, c = faces[g, 0], faces[g, 1], faces[g, 2]
                     if not alive[g] or a == other or b == other or c == other:
                         continue
@@ -337,22 +352,46 @@ def _collapse(
                     for axis in range(3):
                         points[v, axis] = at[axis]
                     new = _normal(points, a, b, c, after)
+                    flat -= new < FLATTEST
+                    flatter = flatter or (new < FLATTEST and new < quality)
+                    if new <= 0.0:
+                        fits = False
+                        break
+                    # a needle has no normal to speak of: it follows the triangles around it
+                    if quality < FLATTEST:
+                        before[:] = ring
                     dot = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
                     lengths = (before[0] ** 2 + before[1] ** 2 + before[2] ** 2) * (
                         after[0] ** 2 + after[1] ** 2 + after[2] ** 2
                     )
-                    if (
-                        (new < FLATTEST and new < quality)
-                        or new <= 0.0
-                        or (quality > 1e-6 and not dot >= TURNED * np.sqrt(lengths))
-                    ):
+                    if not dot >= TURNED * np.sqrt(lengths):
                         fits = False
                         break
+                if not fits:
+                    break
+            fits = fits and (flat > 0 or not flatter)
+            if fits:
+                worst = _squared_from(
+                    at[0], at[1], at[2], given, given_faces, given_first, given_around, low, size, shape, cell_first,
+                    held, t, tolerance / 4,
+                )  # fmt: skip
+                fits = worst <= tolerance
+                for axis in range(3):
+                    points[i, axis] = points[j, axis] = at[axis]
+            for side in range(2):
+                v, other = (i, j) if side == 0 else (j, i)
+                for g in around[first[v] : first[v + 1]]:
+                    if not fits:
+                        break
+                    a, b, c = faces[g, 0], faces[g, 1], faces[g, 2]
+                    if not alive[g] or a == other or b == other or c == other:
+                        continue
                     d = _squared_from(
                         (points[a, 0] + points[b, 0] + points[c, 0]) / 3,
                         (points[a, 1] + points[b, 1] + points[c, 1]) / 3,
                         (points[a, 2] + points[b, 2] + points[c, 2]) / 3,
                         given, given_faces, given_first, given_around, low, size, shape, cell_first, held, t,
+                        tolerance / 4,
                     )  # fmt: skip
                     worst = max(worst, d)
                     fits = worst <= tolerance
@@ -374,7 +413,10 @@ def _collapse(
             quadrics[i, 9], quadrics[i, 10] = max(error, 0.0), q[10]
             touched[i] = touched[j] = 1
             farthest[0] = max(farthest[0], worst)
+            for g in around[first[i] : first[i + 1]]:
+                tried[g] = 0
             for g in around[first[j] : first[j + 1]]:
+                tried[g] = 0
                 if alive[g]:
                     for c in range(3):
                         if faces[g, c] == i:
