@@ -22,9 +22,9 @@ from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.nearest import squared_to_triangle
 
-BOUNDS = (0.05, 0.15, 0.3, 0.5, 0.8, 1.0, 1.0)
+BOUNDS = (0.2, 0.6, 1.0, 1.0)
 """Largest root of the mean squared distance from planes in each pass, as fractions of the tolerance. The distance is
-tested apart from this; twice as many passes leave 2 % less triangles, for half as much time again."""
+tested apart from this; three passes more leave a fifth less triangles and take a fifth longer."""
 
 FLATTEST = 0.12
 """Quality of triangles, 1 for equal sides, below which a collapse leaves no new ones."""
