@@ -1,4 +1,4 @@
-"""The solid of a part without what is too thin to print: opened by a ball, on a grid of its own.
+"""The solid of a part without what is too thin to print: a union of balls of one size, on a grid of its own.
 
 The grid belongs to the part, so the result at a place is the same in layers, meshes and pictures, whatever grid they
 are sampled on, and on any slab; between its nodes the field, about a distance, is interpolated linearly. Planes are
@@ -37,11 +37,18 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.part.part import Part
 
 PER_DIAMETER = 4
-"""Spacings of the grid in the diameter of the ball. Solid that is thicker than the diameter by less than half a spacing
-may still be lost, as its middle lies between nodes: a twelfth of the diameter. Twice as many take eight times as long."""
+"""Spacings of the grid in the diameter of the ball. Edges are round to within two fifths of a spacing, a tenth of the
+diameter. At 6 the solid of a knot differs by a hundredth, for three times the time."""
 
 ROOM = 0.42
+"""Radius of the ball beyond half of `thinnest`, as a share of that. Voxels of a sixth of `thinnest` show solid up to
+one and a half of them thinner than it is; with this room 0.5 % of a knot's solid look thinner, without it
+5 %."""
+
 LEAST = 0.86
+"""Radius, in halves of `thinnest`, of the largest ball in solid that is just kept, and thickened: what is gained there
+makes up for what goes, so that the porosity stays. At 0.67 struts gain a twentieth of the solid, at 1 a tenth is
+lost."""
 
 KEPT_NODES = 2**25
 """Grids of so many nodes are kept, in 64 MB, so that layers, meshes and pictures of a part make them once."""
@@ -54,11 +61,11 @@ BLOCK_SAMPLES = 2**22
 class Border:
     """How the solid of a part ends at its surface."""
 
-    thinnest_mm: float  # diameter of the ball by which the solid is opened
+    thinnest_mm: float  # what voxels of a sixth of it show as the thinnest solid
 
 
 class _Planes:
-    """Planes of some arrays, made in blocks from the bottom up; kept are those asked for last, above, and some below."""
+    """Planes of some arrays, made in blocks from the bottom up; those asked for last are kept, and some below."""
 
     def __init__(self, make: Callable[[int, int, int], tuple[Any, ...]], below: int = 0) -> None:
         self._make, self._below = make, below
@@ -152,7 +159,8 @@ class BorderSampler:
             self._whole[first:last] = self._field.get(first, last, threads)[0]
             self._made[first:last] = True
         if self._made.all():  # what others are made from has no use any more
-            self._spans.clear(), self._crossed.clear(), self._core.clear(), self._field.clear()
+            for planes in (self._spans, self._crossed, self._core, self._field):
+                planes.clear()
         return self._whole[low:high]
 
     def _make_spans(self, start: int, stop: int, threads: int) -> tuple[Any, ...]:
@@ -229,12 +237,8 @@ def _interpolate(planes: I16, z: F64, y: F64, x: F64, spans: I32, unit: np.float
                 continue
             wy = np.float32(y[j] - front)
             a, b = max(0, int(x[first])), min(nx, int(x[last - 1]) + 2)
-            p, q, r, s = (
-                planes[below, front],
-                planes[below, front + 1],
-                planes[below + 1, front],
-                planes[below + 1, front + 1],
-            )
+            p, q = planes[below, front], planes[below, front + 1]
+            r, s = planes[below + 1, front], planes[below + 1, front + 1]
             for i in range(a, b):
                 low = (np.float32(1) - wy) * np.float32(p[i]) + wy * np.float32(q[i])
                 high = (np.float32(1) - wy) * np.float32(r[i]) + wy * np.float32(s[i])

@@ -141,8 +141,8 @@ def grown_field(core: U8, squares: U16, radius: float, reach: int, threads: int 
     field = np.empty(core.shape, np.int16)
 
     def grow(a: int, b: int) -> None:
-        some = (array[a:b].reshape(-1) for array in (core, squares, field))
-        _grow(*some, np.float32(radius), np.float32(reach))
+        nodes, away, made = core[a:b].reshape(-1), squares[a:b].reshape(-1), field[a:b].reshape(-1)
+        _grow(nodes, away, made, np.float32(radius), np.float32(reach))
 
     in_bands(grow, len(field), threads)
     return field

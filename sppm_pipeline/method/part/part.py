@@ -301,7 +301,8 @@ class Part(WrappedField):
         x, y, z = ((lower - pitch / 2 - self.origin_mm) / edge).tolist()
         grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
         # a skin thinner than a voxel would leak, and sealed void would look open
-        thick = replace(self, border=None, skin_mm=max(self.skin_mm, 1.01 * pitch) if self.skin_mm else 0.0)
+        thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
+        thick = thick if thick.border is None else thick._plain()  # voxels are coarser than what a border changes
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
     def inside_zyx(self, grid: Grid, start: int, stop: int) -> U8:

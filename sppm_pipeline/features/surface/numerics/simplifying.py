@@ -53,7 +53,7 @@ def simplify(vertices: F64, faces: I32, tolerance: float) -> Simplified:
         return Simplified(given, given_faces, 0.0)
     n = len(given)
     first, around = _incident(given_faces, n)
-    cells = _hashed(given, given_faces, tolerance)
+    low, size, shape, cell_first, held = _hashed(given, given_faces, tolerance)
     quadrics, locked = np.zeros((n, 11), np.float32), np.zeros(n, np.uint8)
     points, triangles = given.copy(), given_faces.copy()
     _prepare(points, triangles, first, around, quadrics, locked)
@@ -63,7 +63,8 @@ def simplify(vertices: F64, faces: I32, tolerance: float) -> Simplified:
         alive = np.ones(len(triangles), np.uint8)
         _collapse(
             points, triangles, alive, *incident, quadrics, locked, np.zeros(n, np.int64), (bound * tolerance) ** 2,
-            tolerance**2, given, given_faces, first, around, *cells, tried, farthest,
+            tolerance**2, given, given_faces, first, around, low, size, shape, cell_first, held, tried,
+            farthest,
         )  # fmt: skip
         stays = alive.view(np.bool_)
         triangles, tried = triangles[stays], tried[stays]
@@ -219,7 +220,7 @@ def _error(q: F64, x: float, y: float, z: float) -> float:
     ax = q[0] * x + q[1] * y + q[2] * z + 2 * q[6]
     ay = q[1] * x + q[3] * y + q[4] * z + 2 * q[7]
     az = q[2] * x + q[4] * y + q[5] * z + 2 * q[8]
-    return x * ax + y * ay + z * az + q[9]
+    return float(x * ax + y * ay + z * az + q[9])
 
 
 @jit
