@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.part.crossings import Crossings
 
 PARTS = 254
-"""Parts of a grid edge, to which the place of a crossing is rounded: an error of .002 spacings."""
+"""Parts of a grid edge, to which the place of a crossing is rounded: an error of 0.002 spacings."""
 
 NO_CROSSING = 255
 
 SQUARE = 512.0
-"""Squared distances are whole multiples of one over this, in sixteen bits: at a distance of 3 an error of .0002."""
+"""Squared distances are whole multiples of one over this, in sixteen bits: at a distance of 3 an error of 0.0002."""
 
 FAR = 32000
 """Squared distance beyond the reach; no sum of it and a square of `MAX_REACH` overflows."""
@@ -39,7 +39,7 @@ AROUND = 2
 """The middle of thin solid is looked for so many nodes around each: as a distance falls by one from node to node."""
 
 NEAR_MIDDLE = 1.0
-"""Distance, in spacings, from the middle of thin solid within which nodes belong to it: some node is within .87."""
+"""Distance, in spacings, from the middle of thin solid within which nodes belong to it: some node is within 0.87."""
 
 UNIT = 2048
 """Parts of a spacing that distances are whole multiples of: they lie within 14 spacings."""

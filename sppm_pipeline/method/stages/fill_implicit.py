@@ -64,7 +64,7 @@ class ImplicitFill(Stage):
     inside of the part: what is too thin goes, struts that are a little too thin are thickened, edges get round, and
     faces stay flat. Voxels of a sixth of `thinnest` then show hardly any solid thinner than that; for this the balls
     are larger by two fifths. The field is evaluated on a grid of a quarter of `thinnest` and interpolated, so that
-    layers and meshes agree. What hangs on nothing else is left out as islands. An extension of the paper.
+    layers and meshes agree. Disconnected solid is left out as islands. An extension of the paper.
     """
 
     name: ClassVar[str] = "fill.implicit"

@@ -96,7 +96,7 @@ def test_the_same_input_gives_the_same_bytes():
 
 def test_the_stage_reports_and_keeps_the_name():
     context = PlainContext()
-    made = SimplifyMesh(tolerance=Length(0.05, "mm")).run(
+    made = SimplifyMesh(deviation=Length(0.05, "mm")).run(
         context, SurfaceMesh(*ball_mesh((0.0, 0.0, 0.0), 5.0, 4), name="ball")
     )
     assert made.name == "ball"
