@@ -26,10 +26,11 @@ KEPT_SHARE = 0.25
 class SimplifyMesh(Stage):
     """Collapse edges as long as the surface stays within a distance of the one given, and keeps its topology.
 
-    All vertices, and the middles of all triangles, lie within the deviation from the surface given, as the mesh holds it;
-    how far that is from the field it was extracted from is a matter of the voxels. Flat triangles of low quality go as
-    far as they can. Vertices at open boundaries and where surfaces touch stay where they are. Euler number, closedness
-    and volume are compared with those before, and a mesh that differs is refused. Groups of triangles are dissolved.
+    All vertices, and the middles of all triangles, lie within `largest_distance` of the surface given, as the mesh
+    holds it; how far that is from the field it was extracted from is a matter of the voxels. Flat triangles of low
+    quality go as far as they can. Vertices at open boundaries and where surfaces touch stay where they are. Euler
+    number, closedness and volume are compared with those before, and a mesh that differs is refused. Groups of
+    triangles are dissolved.
     """
 
     name: ClassVar[str] = "mesh.simplify"
@@ -42,7 +43,7 @@ class SimplifyMesh(Stage):
     )  # fmt: skip
     advice: ClassVar[str] = "extract with a lower `resolution`"
 
-    deviation: Length = option(
+    largest_distance: Length = option(
         Length(0.02, "mm"), help="largest distance of vertices and middles of triangles from the surface given",
         unit="mm", above=0, maximum=1e3,
     )  # fmt: skip
@@ -57,7 +58,7 @@ class SimplifyMesh(Stage):
 
         if not len(mesh.faces):
             raise InputError(f"{mesh.name} has no triangles")
-        tolerance = self.deviation.mm()
+        tolerance = self.largest_distance.mm()
         made = simplify(mesh.vertices, mesh.faces, tolerance)
         before, after = edge_counts(mesh.faces), edge_counts(made.faces)
         euler = euler_number(mesh.faces), euler_number(made.faces)
@@ -72,7 +73,7 @@ class SimplifyMesh(Stage):
             raise DesignError(
                 f"the volume of {mesh.name} would change from {was:g} to {now:g} mm3, more than its surface can within "
                 f"{tolerance:g} mm",
-                hint="give a smaller `deviation`",
+                hint="give a smaller `largest_distance`",
             )
         flat = (float((qualities(*arrays) < FLATTEST).mean()) for arrays in ((mesh.vertices, mesh.faces), made[:2]))
         context.report(
