@@ -28,6 +28,7 @@ NOTICE = "<!-- Written by docs/generate_gallery.py from the configuration; edit 
 GALLERY = {
     "Parts": {
         "knot": ("A part of scattered pores", "knot.png"),
+        "border": ("Without shards", "border.png"),
         "skin": ("A closed skin, with a hole", "skin.png"),
         "plate_with_holes": ("Plate and screw holes", "plate.png"),
         "tube": ("Around a tube", "tube.png"),

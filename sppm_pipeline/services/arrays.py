@@ -12,6 +12,8 @@ F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 I32 = NDArray[np.int32]
 U64 = NDArray[np.uint64]
+I16 = NDArray[np.int16]
+U16 = NDArray[np.uint16]
 U8 = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 

@@ -10,6 +10,7 @@ STAGES = {
     "extract.marching_cubes": "MarchingCubes",
     "extract.unit_cell": "UnitCell",
     "extract.manifold_sdf": "ManifoldSdf",
+    "mesh.simplify": "SimplifyMesh",
     "check.mesh": "CheckMesh",
 }
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""

@@ -123,6 +123,11 @@ class FieldSurface:
     caps: bool = True
     cut: bool = True
 
+    @property
+    def _cut_part(self) -> Part | None:
+        """The part that is cut at the surface of its domain; a border of its own makes it a field like others."""
+        return self.source if isinstance(self.source, Part) and self.source.border is None else None
+
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
@@ -191,7 +196,7 @@ class FieldSurface:
         from sppm_pipeline.services.mesh.closing import capped_marching_cubes_slabs
 
         origin, spacing, (nx, ny, nz) = self.grid
-        part = self.source if isinstance(self.source, Part) else None
+        part = self._cut_part
         nothing = np.empty((0, 0, 0), np.float32)
         planes: list[tuple[NDArray[np.float32], ...]] = []
         crossings = NO_CROSSINGS
@@ -304,15 +309,16 @@ class FieldSurface:
     def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
         from sppm_pipeline.method.part.crossings import NO_CROSSINGS
 
-        if not isinstance(self.source, Part):
+        part = self._cut_part
+        if part is None:
             values = self.source.sample_zyx(self.grid, start, stop, threads)
             # they are changed on the way; sums of kernels are new arrays, those of other fields may be kept by them
             values = values if self.source.sum_level is not None else values.copy()
             return SampledSlab(start, values, None, NO_CROSSINGS)
         if self.cut:
-            inner, skin, outer, crossings = self.source.cut_zyx(self.grid, threads, start, stop)
+            inner, skin, outer, crossings = part.cut_zyx(self.grid, threads, start, stop)
         else:
-            inner, skin, outer = self.source.fields_zyx(self.grid, threads, start, stop)
+            inner, skin, outer = part.fields_zyx(self.grid, threads, start, stop)
             crossings = NO_CROSSINGS
             # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the
             # domain is nearer than that to some corner of its cube of nodes, so the surface never passes through the
@@ -327,7 +333,7 @@ class FieldSurface:
         """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
         from sppm_pipeline.method.kernels.profiles import log_of_sums
 
-        level = self.source.base.sum_level if isinstance(self.source, Part) else self.source.sum_level
+        level = self.source.inner_level if isinstance(self.source, Part) else self.source.sum_level
         if level is not None:
             log_of_sums(slab.values if slab.apart is None else slab.apart[0], level)
         return slab

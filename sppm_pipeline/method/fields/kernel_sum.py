@@ -136,18 +136,23 @@ class KernelSum(ScalarField):
         return self._each_once(grid, 0, grid.shape[2], sums).T
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
+        return self.sample_wanted(grid, start, stop, threads, None).T
+
+    def sample_wanted(self, grid: Grid, start: int, stop: int, threads: int, wanted: I32 | None) -> F32:
         def values(grid: Grid, start: int, stop: int) -> F32:
             if not self.additive:
                 return self.own_values(grid, start, stop, threads)
+            rows = None if self.periodic else wanted
             if (fine := self._fine(grid, threads)) is not None:
-                out = np.empty((stop - start, *grid.shape[1::-1]), np.float32)
-                fine.sample(self, start, stop, threads, None, out, None)
+                shape = (stop - start, *grid.shape[1::-1])
+                out = np.empty(shape, np.float32) if rows is None else np.zeros(shape, np.float32)
+                fine.sample(self, start, stop, threads, rows, out, None)
                 return out
-            sums = self._summed(grid, start, stop, threads, None)
+            sums = self._summed(grid, start, stop, threads, rows)
             sums -= np.float32(self.solid_below)
             return sums
 
-        return self._each_once(grid, start, stop, values).T
+        return self._each_once(grid, start, stop, values)
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         def solid(grid: Grid, start: int, stop: int) -> U8:

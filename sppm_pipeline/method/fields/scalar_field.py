@@ -201,6 +201,10 @@ class ScalarField(Artifact, ABC):
         """`sample_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.sample_layers(grid, start, stop, threads).T)
 
+    def sample_wanted(self, grid: Grid, start: int, stop: int, threads: int, wanted: I32) -> F32:
+        """`sample_zyx` where only some samples of each row matter, `wanted` as for `solid_layers`."""
+        return self.sample_zyx(grid, start, stop, threads)
+
     def slabs_in_threads(self, grid: Grid) -> bool:
         """True if threads may ask `solid_layers` for different layers of this grid at once, and gain by it.
 

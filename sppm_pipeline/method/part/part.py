@@ -19,6 +19,7 @@ from sppm_pipeline.services.arrays import F32, I32, U8, U64, Bools
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
+    from sppm_pipeline.method.part.border import Border, BorderSampler
     from sppm_pipeline.method.part.crossings import Crossings
     from sppm_pipeline.method.part.inside import Method
     from sppm_pipeline.nouns.length import Length
@@ -55,6 +56,8 @@ class Part(WrappedField):
         Capsules (both ends of a segment, radius), mm, that are void in skin and microstructure alike.
     fills : (n, 7) float64
         Capsules that are solid as far as they lie in the domain; drains win over them.
+    border : Border or None
+        How the solid ends at the surface of the domain; None if it is cut there. All else is done before.
     """
 
     domain: SurfaceMesh
@@ -64,6 +67,7 @@ class Part(WrappedField):
     drains: tuple[tuple[float, ...], ...] = ()
     skin_faces: NDArray[np.int32] | None = None
     fills: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
+    border: Border | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fills", frozen(np.asarray(self.fills, np.float64)))
@@ -93,6 +97,11 @@ class Part(WrappedField):
             raise ValueError("the skin is on a triangle that the domain does not have")
         if self.fills.shape[1:] != (7,) or not np.isfinite(self.fills).all() or not (self.fills[:, 6] > 0).all():
             raise ValueError("fills are rows of two ends (x, y, z) and a positive radius, 7 numbers in mm")
+
+    @property
+    def inner_level(self) -> float | None:
+        """Level C if the microstructure's field, as it is handed out here, is a sum of kernels less C; else None."""
+        return None if self.border else self.base.sum_level
 
     def in_mm(self, grid: Grid) -> Grid:
         """`grid`, given in cell sizes, in world millimeters."""
@@ -129,9 +138,13 @@ class Part(WrappedField):
         """The fields of the microstructure, of the skin (None without one) and of the domain; see `apart_zyx`.
 
         Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
-        skin are distances in cell sizes; that of the microstructure is steeper or flatter.
+        skin are distances in cell sizes; that of the microstructure is steeper or flatter. With a border the first is
+        about the distance of the whole solid, and that of the domain is -1 everywhere.
         """
         stop = grid.shape[2] if stop is None else stop
+        if self.border is not None:
+            field = self._drained(self._bordered().sample(grid, start, stop, threads), grid, start, stop)
+            return field, None, np.full_like(field, -1)
         inner = self.base.sample_zyx(grid, start, stop, threads)
         outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
@@ -145,7 +158,7 @@ class Part(WrappedField):
     def within_zyx(self, grid: Grid, threads: int, start: int, stop: int) -> tuple[F32, F32 | None, Bools]:
         """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
         inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
-        if self.skin_mm:
+        if self.skin_mm or self.border:
             return *self.fields_zyx(grid, threads, start, stop)[:2], inside
         inner = self.base.sample_zyx(grid, start, stop, threads)
         return self._filled_and_drained_field(inner, None, grid, start, stop), None, inside
@@ -159,21 +172,30 @@ class Part(WrappedField):
         layers, margin = world.layers(start, stop), 2 * max(world.spacing)
         for window, depth in depths_in_capsules(layers, self.fills, margin):
             np.minimum(inner[window], depth / -edge, out=inner[window])
-        for window, depth in depths_in_capsules(layers, self.drains, margin):
-            for values in (inner, skin):
-                if values is not None:
-                    np.maximum(values[window], depth / edge, out=values[window])
-        return inner
+        if skin is not None:
+            self._drained(skin, grid, start, stop)
+        return self._drained(inner, grid, start, stop)
 
-    def cut_zyx(self, grid: Grid, threads: int, start: int, stop: int) -> tuple[F32, F32 | None, F32, Crossings]:
+    def _drained(self, field: F32, grid: Grid, start: int, stop: int) -> F32:
+        """A field without what drains take away from the border, which may have thickened what is beside them."""
+        world, edge = self.in_mm(grid), np.float32(self.physical_edge())
+        for window, depth in depths_in_capsules(world.layers(start, stop), self.drains, 2 * max(world.spacing)):
+            np.maximum(field[window], depth / edge, out=field[window])
+        return field
+
+    def cut_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int, wanted: I32 | None = None
+    ) -> tuple[F32, F32 | None, F32, Crossings]:
         """`fields_zyx`, and where grid edges that begin in these layers pierce the triangles of the domain.
 
         Of the domain's field only the sign counts where these are known: without a skin and drains, a closed domain is
         -1 inside and 1 outside. Nodes on its surface are outside, whatever way their place is rounded, so that faces
-        are flat.
+        are flat. `wanted` as for `solid_layers`.
         """
-        from sppm_pipeline.method.part.crossings import on_surface
+        from sppm_pipeline.method.part.crossings import NO_CROSSINGS, on_surface
 
+        if self.border is not None:  # the domain is rounded, too
+            return *self.fields_zyx(grid, threads, start, stop), NO_CROSSINGS
         domain = self._in_domain(grid)
         crossings = domain.crossings(start, stop)
         if self.skin_mm or self.drains or self.method != "scanline":
@@ -183,7 +205,10 @@ class Part(WrappedField):
         # a node on the surface is outside whichever way it is rounded, or flat faces would be ragged
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
-        inner = self.base.sample_zyx(grid, start, stop, threads)
+        if wanted is None:
+            inner = self.base.sample_zyx(grid, start, stop, threads)
+        else:
+            inner = self.base.sample_wanted(grid, start, stop, threads, wanted)
         return self._filled_and_drained_field(inner, None, grid, start, stop), None, outer, crossings
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
@@ -193,6 +218,14 @@ class Part(WrappedField):
         """The solid, the domain, and the skin before drains (None without one), (stop - start, ny, nx) uint8."""
         from sppm_pipeline.method.assembly.occupancy import row_spans
 
+        if self.border is not None:
+            _, inside, skin = (
+                self._plain()._solid_inside_skin(grid, start, stop, threads)
+                if self.skin_mm
+                else (None, self._in_domain(grid).inside(start, stop), None)
+            )
+            field = self._bordered().sample(grid, start, stop, threads, row_spans(inside))
+            return (self._drained(field, grid, start, stop) < 0).view(np.uint8), inside, skin
         skin = None
         if not self.skin_mm or self.skin_faces is not None:
             domain = self._in_domain(grid)
@@ -223,7 +256,7 @@ class Part(WrappedField):
         """`solid_bits`, and how many samples lie in the domain and in its skin, as ``domain`` and ``skin``."""
         from sppm_pipeline.services.bit_rows import count, pack
 
-        if self.skin_mm or self.drains or len(self.fills):
+        if self.skin_mm or self.drains or len(self.fills) or self.border:
             solid, inside, skin = self._solid_inside_skin(grid, start, stop, threads)
             of_skin = 0 if skin is None else int(np.count_nonzero(skin & solid))  # drains win over the skin
             return pack(solid), {"domain": int(np.count_nonzero(inside)), "skin": of_skin}
@@ -235,7 +268,7 @@ class Part(WrappedField):
         return bits, {"domain": count(held), "skin": 0}
 
     def slabs_in_threads(self, grid: Grid) -> bool:
-        if self.method != "scanline" or not self.base.slabs_in_threads(grid):
+        if self.border or self.method != "scanline" or not self.base.slabs_in_threads(grid):
             return False
         self._in_domain(grid).inside(0, 0)
         return True
@@ -269,6 +302,7 @@ class Part(WrappedField):
         grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
         # a skin thinner than a voxel would leak, and sealed void would look open
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
+        thick = thick if thick.border is None else thick._plain()  # voxels are coarser than what a border changes
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
     def inside_zyx(self, grid: Grid, start: int, stop: int) -> U8:
@@ -294,6 +328,20 @@ class Part(WrappedField):
             sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
             # weak keys: a sampler is freed with its part
             _SAMPLERS[self] = sampler
+        return sampler
+
+    def _plain(self) -> Part:
+        """The part whose solid ends at the surface as it is cut."""
+        return replace(self, border=None)
+
+    def _bordered(self) -> BorderSampler:
+        """The sampler of the solid with its border."""
+        from sppm_pipeline.method.part.border import BorderSampler
+
+        assert self.border is not None
+        sampler = _BORDERS.get(self)
+        if sampler is None:
+            sampler = _BORDERS[self] = BorderSampler(self._plain(), self.border)
         return sampler
 
     def summary(self) -> dict[str, Any]:
@@ -340,3 +388,4 @@ def coarse_size(part: Size, pitch: Length | None = None) -> Size:
 
 
 _SAMPLERS: WeakKeyDictionary[Part, DomainSampler] = WeakKeyDictionary()
+_BORDERS: WeakKeyDictionary[Part, BorderSampler] = WeakKeyDictionary()

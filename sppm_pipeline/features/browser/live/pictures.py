@@ -140,7 +140,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
 
     nx, ny, nz = grid.shape
     # by scan lines the triangles themselves bound the part; otherwise its surface is sampled, too
-    closed = part.method == "scanline"
+    closed = part.method == "scanline" and part.border is None
     field = np.empty((nz, ny, nx), np.float32)
     skin = np.empty_like(field) if part.skin_mm else None
     outer = None if closed else np.empty_like(field)
@@ -155,7 +155,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
             inside = outer[layers] < 0
         if held.size:
             held[layers] = ((inner < 0) if shell is None else (np.minimum(inner, shell) < 0)) & inside
-        field[layers] = _smooth(part.base, inner)
+        field[layers] = inner if part.border else _smooth(part.base, inner)
         if skin is not None:
             skin[layers] = shell
     removed = _remove_islands((field,) if skin is None else (field, skin), held) if held.size else 0.0

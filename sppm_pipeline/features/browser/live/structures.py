@@ -149,7 +149,7 @@ def _lattice(field: ScalarField) -> tuple[dict[str, Any], dict[str, NDArray[Any]
     tiling = field.base if isinstance(field, Part) else field
     if not isinstance(tiling, Tiling) or tiling.tileset.kind in ("fresh", "scattered") or not tiling.additive:
         return None
-    if isinstance(field, Part) and (field.skin_mm or len(field.drains) or len(field.fills)):
+    if isinstance(field, Part) and (field.skin_mm or len(field.drains) or len(field.fills) or field.border):
         return None
     pieces, arrays = tiling.tileset.micro.pieces, tiling.arrays
     if tiling.tileset.micro.stretched:
@@ -197,10 +197,9 @@ def _sampled(
     if isinstance(field, Part):
         inner, outer = field.apart_zyx(grid, threads)
         outer /= np.float32(grid.spacing[0])
-        source = field.base
+        level = field.inner_level
     else:
-        inner, source = field.sample_zyx(grid, 0, grid.shape[2], threads), field
-    level = source.sum_level
+        inner, level = field.sample_zyx(grid, 0, grid.shape[2], threads), field.sum_level
     if level is not None:
         inner = inner + np.float32(level)
         return inner, outer, level, DEPTH * level
