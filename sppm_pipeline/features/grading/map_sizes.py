@@ -112,7 +112,7 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
                 metric[known] = found
         return factor, None if metric is None else frozen(metric)
 
-    if not micro.additive and "stretch" in grading:
+    if not micro.follows_metric and "stretch" in grading:
         raise ConfigError("walls can't be stretched", hint="stretch structures that end with `field.gaussian`")
     # maps give radii in mm: they are relative to the median kernel, about which those of the recipe may vary
     profile = TUNNEL_PROFILES[kernels.profile]

@@ -34,6 +34,7 @@ class WalledMicrostructure(Microstructure):
     """
 
     reported: ClassVar[tuple[str, ...]] = (*Microstructure.reported, "thickness", "tunnel_radius")
+    follows_metric: ClassVar[bool] = False
 
     rounding: float = 0.0  # radius of the fillets where walls meet and of the rims of their openings, cell sizes
 

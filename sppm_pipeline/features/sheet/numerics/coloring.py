@@ -15,7 +15,7 @@ from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root, unite
 
 OWN_SHARE = 0.42
-"""Share of a pore's neighbors that are of its own color: less breaks networks up, more makes their pores lie in heaps."""
+"""Share of a pore's neighbors that are of its own color: with less, networks break up, with more they clump."""
 
 _SWEEPS = 30
 """Tries to exchange each pore; most settle within ten."""
@@ -49,7 +49,7 @@ def _excess(first: I64, neighbors: I64, colors: NDArray[np.int8], i: int, share:
             own += 1
     if degree == 0:
         return 0.0
-    off = own / degree - share
+    off: float = own / degree - share
     return off * off
 
 

@@ -1,12 +1,12 @@
 """Periodic fields of few waves: relaxed until their zero is nearly a minimal surface, and summed at any point.
 
-A field is ``f(p) = Re sum_k c_k exp(2 pi i k . p)`` over the integer vectors k of a band, the waves of nearly one length.
-It is relaxed by steps of ``f <- band(tanh(2 f / rms f))``, as in the equation of Swift and Hohenberg (1977): tanh draws f
-to two values with a thin layer between them, and the band allows only layers at equal distances.
+A field is ``f(p) = Re sum_k c_k exp(2 pi i k . p)`` over integer vectors k of nearly one length, a band.
+It is relaxed by steps of ``f <- band(tanh(2 f / rms f))``, as in the equation of Swift and Hohenberg (1977): tanh draws
+f to two values with a thin layer between them, and the band allows only layers at equal distances.
 
 A field of few waves has directions that it prefers by chance. The weights of its waves are therefore corrected in each
-step so that the moments of second and fourth order of their directions are those of all directions alike; the stiffness,
-a tensor of fourth order, then hardly depends on the direction.
+step so that the moments of second and fourth order of their directions are those of all directions alike. The
+stiffness, a tensor of fourth order, then hardly depends on the direction.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Waves(NamedTuple):
 
 
 class Relaxed(NamedTuple):
-    """A relaxed field of variance 1; samples of it and of the length of its gradient, (n, n, n) by x, y, z, at i / n."""
+    """A relaxed field of variance 1; samples of it and of the length of its gradient, (n, n, n), at i / n."""
 
     waves: Waves
     samples: F64
@@ -52,7 +52,7 @@ class Relaxed(NamedTuple):
 
 
 def band_of(wavenumber: float, width: float, metric: F64) -> tuple[I64, F64]:
-    """Integer wave vectors (m, 3) near a sphere, one of each opposite pair, and their weights ``exp(-(k / k0 - 1)^2 / w^2)``.
+    """Integer wave vectors (m, 3) near a sphere, one of each opposite pair, and weights ``exp(-(k / k0 - 1)^2 / w^2)``.
 
     `metric` (3, 3) is a matrix F by which the structure is stretched: its waves k have the length of ``F^T k``.
     """
@@ -82,7 +82,7 @@ def moments_of(vectors: F64) -> F64:
 
 
 def alike_in_all_directions(amplitudes: NDArray[np.complex128], moments: F64) -> NDArray[np.complex128]:
-    """Waves whose power has moments of zero, by the least change in proportion; that of no wave grows beyond a factor."""
+    """Waves whose power has moments of zero, by the least change in proportion; each power changes within a factor."""
     power = np.abs(amplitudes) ** 2
     weighted = moments * power
     # one of the moments follows from the others: the matrix is singular

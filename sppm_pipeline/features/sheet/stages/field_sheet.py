@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline import (
     Cell,
@@ -20,15 +21,22 @@ from sppm_pipeline import (
     ScalarField,
     Size,
     Stage,
+    TunnelGraph,
     option,
-    options,
 )
-from sppm_pipeline.features.sheet.sheet_field import SheetField
+from sppm_pipeline.features.sheet.sheet_field import SheetField, SheetMicrostructure
+from sppm_pipeline.method.fields.microstructure import pieces_from_graph
 from sppm_pipeline.nouns.size import Geometry
-from sppm_pipeline.numerics import cell_centers, phase_report
+from sppm_pipeline.numerics import Grid, cell_centers, phase_report
 
 PERIOD = 1.52
 """Period of the sheets, in mean distances of pores: the two networks are as far apart as the pores of both colors."""
+
+KERNEL = 1.6
+"""Parameter omega of the kernels of scattered pores, times the square of their mean distance."""
+
+MEASURED_BLOCKS = 8
+"""Blocks of scattered pores in which the half width for the density is measured: some 500 pores."""
 
 NEIGHBORS = 12
 """Nearest pores that are taken for neighbors of a pore; those that find it come on top."""
@@ -51,8 +59,11 @@ class SheetStage(Stage):
     one color and negative around those of the other, and is relaxed until its zero is nearly a minimal surface: in
     `steps` of a limiter and a band of waves of one length, after Swift and Hohenberg (1977), with weights that make the
     waves alike in all directions. Solid is where the field is near the middle value. An extension of the paper, which
-    needs no tunnels: both networks percolate as they are, which is checked. One periodic cell is made, which can be
-    repeated. A target porosity (`tune.porosity`) is reached by the thickness of the sheet.
+    needs no tunnels: both networks percolate as they are, which is checked. A target porosity (`tune.porosity`, a
+    tiling's `porosity`, `tune.local_porosity`) is reached by the thickness of the sheet.
+
+    Cells are relaxed one by one, and can be repeated. Scattered pores (`tile.scattered`) are not relaxed: the field is
+    the difference of the kernels of both colors, which is local; such a sheet is a tenth softer.
     """
 
     name: ClassVar[str] = "field.sheet"
@@ -69,14 +80,14 @@ class SheetStage(Stage):
         unit="cell size", above=0, maximum=1,
     )  # fmt: skip
     band: float = option(
-        0.2, help="relative width of the band of wave lengths: a narrow one has more regular sheets",
+        0.15, help="relative width of the band of wave lengths: a narrow one has more regular sheets",
         minimum=0.05, maximum=0.5,
     )  # fmt: skip
     steps: int = option(20, help="steps of relaxation", minimum=0, maximum=1000)
 
     def estimate(self, palette: Palette, pores: Size) -> Size:
         cell = pores.cell
-        periods = 1 / self._period(cell.pores, cell.cell)
+        periods = 1 / self._period(cell.pores, cell.cell, palette.blocks is not None)
         made = Geometry(edge_mm=cell.edge_mm, porosity=1 - self.density, surface=4.2 * periods, kernels=2.0)
         return Size(pores=cell.interiors * cell.pores, samples=(self.steps + 5) * 1000 * periods**3,
                     design=replace(cell, radii=(1 / periods, 0.0)), geometry=made)  # fmt: skip
@@ -87,41 +98,79 @@ class SheetStage(Stage):
         from sppm_pipeline.features.sheet.numerics.waves import relaxed
         from sppm_pipeline.method.connecting.candidates import candidate_graph
 
-        if pores.interiors > 1 or max(pores.colors) > 1 or pores.blocks is not None:
+        blocks = pores.blocks
+        if blocks is None and (pores.interiors > 1 or max(pores.colors) > 1):
             raise ConfigError(
-                "a sheet is relaxed in one periodic cell, and this recipe is asked for several",
-                hint="lay it by `tile.periodic`, or make a larger cell with more pores",
+                "a sheet is relaxed in one periodic cell, and this recipe is asked for a set of tiles",
+                hint="lay cells by `tile.periodic`, or pores by `tile.scattered`",
             )
-        points = pores.centers % 1.0
-        if len(points) < MIN_PORES:
+        if len(pores.centers) < MIN_PORES:
             raise DesignError(
-                f"{len(points)} pores are too few for two networks; {MIN_PORES} or more are needed",
+                f"{len(pores.centers)} pores are too few for two networks; {MIN_PORES} or more are needed",
                 hint="sample more, for example `total: 95`",
             )
-        pairs, _ = candidate_graph(points, NEIGHBORS, periodic=True)
+        period = self._period(pores.per_cell, pores.cell, blocks is not None)
+        points = pores.centers if blocks is None else pores.centers + blocks.sites[pores.piece]
+        period_of_points = True if blocks is None else (np.array(blocks.shape, float) * blocks.periodic).tolist()
+        pairs, _ = candidate_graph(points % 1.0 if blocks is None else points, NEIGHBORS, periodic=period_of_points)
         colors = two_networks(pairs, len(points), context.rng())
-        period = self._period(len(points), pores.cell)
-        made = relaxed(points, colors.astype(np.float64), 1 / period, self.band, self.steps)
-        # void of both sides in the shares asked for, on either side of a sheet of the same half width
-        middle = float(np.quantile(made.samples, 1 - self.share))
-        half_width = float(np.quantile(np.abs(made.samples - middle), self.density))
-        near = np.abs(made.samples - middle) <= half_width
+        context.report(period=period, own_neighbors=float((colors[pairs[:, 0]] == colors[pairs[:, 1]]).mean()))
+        if blocks is not None:
+            return self._of_kernels(context, pores, colors, period)
+        made = relaxed(points % 1.0, colors.astype(np.float64), 1 / period, self.band, self.steps)
+        middle, half_width, slope = self._cut(made.samples, made.slopes)
         field = SheetField(
-            waves=made.waves, middle=middle, half_width=half_width, slope=float(np.quantile(made.slopes[near], 0.9)),
+            waves=made.waves, middle=middle, half_width=half_width, slope=slope,
             edge=pores.cell.edge if pores.cell.physical else None,
         )  # fmt: skip
-        context.report(
-            period=period, own_neighbors=float((colors[pairs[:, 0]] == colors[pairs[:, 1]]).mean()),
-            **self._networks(field, math.ceil(SAMPLES / period)),
-        )  # fmt: skip
+        context.report(**self._networks(field, math.ceil(SAMPLES / period)))
         return field
 
-    def _period(self, pores: float, cell: Cell) -> float:
-        """The period in cell sizes."""
+    def _cut(self, samples: NDArray[np.floating], slopes: NDArray[np.floating]) -> tuple[float, float, float]:
+        """The value in the middle of the sheet, its half width and its steepness, from samples of the field."""
+        middle = float(np.quantile(samples, 1 - self.share))
+        away = np.abs(samples - middle)
+        half_width = float(np.quantile(away, self.density))
+        return middle, half_width, float(np.quantile(slopes[away <= half_width], 0.9))
+
+    def _of_kernels(
+        self, context: Context, pores: PoreSet, colors: NDArray[np.int8], period: float
+    ) -> SheetMicrostructure:
+        """The sheet between kernels of two colors of scattered pores, cut as the blocks in their middle say."""
+        from sppm_pipeline.method.families.tiler import without_faces
+        from sppm_pipeline.method.sampling.graded_blocks import density_means
+
+        blocks = pores.blocks
+        assert blocks is not None
+        graph = TunnelGraph(pores, np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64))
+        plain = KERNEL * (PERIOD / period) ** 2
+
+        def made(omega: NDArray[np.float64]) -> SheetMicrostructure:
+            pieces = pieces_from_graph(graph, omega, np.zeros(0), "linear")
+            return SheetMicrostructure(pores.cell, graph, pieces, 1.0, colors_of_pores=colors, middle=0.0, slope=0.0)
+
+        # where maps change the density, kernels are given other sizes later
+        density = (
+            np.ones(len(colors)) if blocks.density is None else density_means(blocks.density)[blocks.mask][pores.piece]
+        )
+        micro = made(plain * density ** (2 / 3))
+        arrays = without_faces(micro, blocks, 0, None, (0, 0, 0)).arrays
+        n = math.ceil(SAMPLES / period / float(density.min()) ** (1 / 3))
+        samples, slopes = [], []
+        inmost = np.argsort(np.abs(blocks.sites - blocks.sites.mean(0)).sum(1), kind="stable")[:MEASURED_BLOCKS]
+        for x, y, z in blocks.sites[inmost].tolist():
+            values = micro.laid_differences(arrays, Grid((x, y, z), (1 / n,) * 3, (n,) * 3), 0, n, context.threads)
+            samples.append(values)
+            slopes.append(np.linalg.norm(np.gradient(values, 1 / n), axis=0))
+        middle, level, slope = self._cut(np.stack(samples), np.stack(slopes))
+        return replace(made(np.full(len(colors), plain)), level=level, middle=middle, slope=slope)
+
+    def _period(self, pores: float, cell: Cell, scattered: bool) -> float:
+        """The period in cell sizes; `ConfigError` if it can't be relaxed in a cell."""
         period = PERIOD * max(pores, 1e-9) ** (-1 / 3) if self.period is None else cell.fraction(self.period)
-        if not 1 / MAX_PERIODS <= period <= 1:
+        if not scattered and not 1 / MAX_PERIODS <= period <= 1:
             raise ConfigError(
-                f"sheets with a period of {period:.3g} cell sizes can't be relaxed; allowed are {1 / MAX_PERIODS:g} to 1",
+                f"the period of the sheets is {period:.3g} cell sizes; allowed are {1 / MAX_PERIODS:g} to 1",
                 hint=f"give a `period`, or {math.ceil(PERIOD**3)} to {math.floor((PERIOD * MAX_PERIODS) ** 3)} pores",
             )
         return period
@@ -144,8 +193,9 @@ class SheetStage(Stage):
             void = phase_report((side > field.half_width).view(np.uint8))
             closed = [axis for axis, way in zip("xyz", void.wraps, strict=True) if not way]
             if closed:
+                which = ("first", "second")[number]
                 raise DesignError(
-                    f"the {('first', 'second')[number]} network does not lead through the cell along {', '.join(closed)}",
+                    f"the {which} network does not lead through the cell along {', '.join(closed)}",
                     hint="take another `seed`, more pores, a lower `density`, or a `share` nearer to 0.5",
                 )
             shares.append(float((side > field.half_width).mean()))
