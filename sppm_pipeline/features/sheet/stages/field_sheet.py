@@ -97,6 +97,7 @@ class SheetStage(Stage):
         from sppm_pipeline.features.sheet.numerics.coloring import two_networks
         from sppm_pipeline.features.sheet.numerics.waves import relaxed
         from sppm_pipeline.method.connecting.candidates import candidate_graph
+        from sppm_pipeline.method.sampling.graded_blocks import at_nodes
 
         blocks = pores.blocks
         if blocks is None and (pores.interiors > 1 or max(pores.colors) > 1):
@@ -110,14 +111,17 @@ class SheetStage(Stage):
                 hint="sample more, for example `total: 95`",
             )
         period = self._period(pores.per_cell, pores.cell, blocks is not None)
-        points = pores.centers if blocks is None else pores.centers + blocks.sites[pores.piece]
-        period_of_points = True if blocks is None else (np.array(blocks.shape, float) * blocks.periodic).tolist()
-        pairs, _ = candidate_graph(points % 1.0 if blocks is None else points, NEIGHBORS, periodic=period_of_points)
+        points, repeats, metric = pores.centers % 1.0, [1.0, 1.0, 1.0], None
+        if blocks is not None:
+            points = pores.centers + blocks.sites[pores.piece]
+            repeats = (np.array(blocks.shape, float) * blocks.periodic).tolist()
+            metric = None if blocks.metric is None else at_nodes(blocks.metric, points)
+        pairs, _ = candidate_graph(points, NEIGHBORS, periodic=repeats, metric=metric)
         colors = two_networks(pairs, len(points), context.rng())
         context.report(period=period, own_neighbors=float((colors[pairs[:, 0]] == colors[pairs[:, 1]]).mean()))
         if blocks is not None:
             return self._of_kernels(context, pores, colors, period)
-        made = relaxed(points % 1.0, colors.astype(np.float64), 1 / period, self.band, self.steps)
+        made = relaxed(points, colors.astype(np.float64), 1 / period, self.band, self.steps)
         middle, half_width, slope = self._cut(made.samples, made.slopes)
         field = SheetField(
             waves=made.waves, middle=middle, half_width=half_width, slope=slope,
