@@ -25,7 +25,7 @@ SAMPLER = {"stage": "sample.dart_throwing", "total": 95}
 RECIPES: dict[str, list[dict[str, object]]] = {
     "preset `open`": [{"preset": "open"}],
     "sheet, equal shares": [SAMPLER, {"stage": "field.sheet"}],
-    "the same, 60 steps": [SAMPLER, {"stage": "field.sheet", "steps": 60}],
+    "the same, 100 steps": [SAMPLER, {"stage": "field.sheet", "steps": 100}],
     "the same, not relaxed": [SAMPLER, {"stage": "field.sheet", "steps": 0}],
     "sheet, scattered pores": [SAMPLER, {"stage": "field.sheet"}],
     "gyroid sheet": [],

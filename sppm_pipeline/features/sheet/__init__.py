@@ -24,6 +24,6 @@ def sppm_presets() -> dict[str, Preset]:
                 {"stage": "sample.dart_throwing", "edge": "${edge}", "total": "${total}"},
                 {"stage": "field.sheet", "density": "${density}", "share": "${share}"},
             ],
-            {"total": 95, "edge": None, "density": 0.3, "share": 0.6},
+            {"total": 95, "edge": None, "density": 0.3, "share": 0.57},
         ),
     }

@@ -43,4 +43,5 @@ def test_small_parts_side_by_side_do_not_change_places_for_ever():
     # a path of alternating colors can't hold two networks: one color takes all but an end
     pairs = np.array([[i, i + 1] for i in range(9)])
     colors = two_networks(pairs, 10, np.random.default_rng(3))
-    assert parts_of(pairs, colors, 1) <= 1 and parts_of(pairs, colors, -1) <= 1
+    assert parts_of(pairs, colors, 1) <= 1
+    assert parts_of(pairs, colors, -1) <= 1

@@ -183,10 +183,12 @@ def test_what_is_refused_says_why():
     with pytest.raises(DesignError, match="5 pores are too few for two networks; 8"):
         recipe(total=5).run(PlainContext(0))
     for period in (0.05, 2.0):
-        with pytest.raises(ConfigError, match=r"allowed are 0.0625 to 1|allowed"):
+        with pytest.raises(ConfigError, match="allowed"):
             recipe(period=Length(period)).run(PlainContext(0))
+    tiles = recipe_of(
+        MirroredFaces(count=9, spacing=Length(0.2)), DartThrowing(count=20, spacing=Length(0.2)), SheetStage()
+    )
     with pytest.raises(ConfigError, match="one periodic cell"):
-        tiles = recipe_of(MirroredFaces(count=9, spacing=Length(0.2)), DartThrowing(count=20, spacing=Length(0.2)), SheetStage())
         WangTileSet().run(PlainContext(0), tiles)
     with pytest.raises(DesignError, match="network does not lead through the cell"):
         recipe(density=0.9, share=0.25).run(PlainContext(0))

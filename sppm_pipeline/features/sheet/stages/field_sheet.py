@@ -80,10 +80,12 @@ class SheetStage(Stage):
         unit="cell size", above=0, maximum=1,
     )  # fmt: skip
     band: float = option(
-        0.15, help="relative width of the band of wave lengths: a narrow one has more regular sheets",
+        0.2, help="relative width of the band of wave lengths: a narrow one has more regular sheets",
         minimum=0.05, maximum=0.5,
     )  # fmt: skip
-    steps: int = option(20, help="steps of relaxation", minimum=0, maximum=1000)
+    steps: int = option(
+        40, help="steps of relaxation; many make the sheets regular, a crystal in the end", minimum=0, maximum=1000
+    )
 
     def estimate(self, palette: Palette, pores: Size) -> Size:
         cell = pores.cell
