@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from numpy.typing import NDArray
 
 import sppm_pipeline as sppm
 from sppm_pipeline.features.flow.stages.homogenize_permeability import HomogenizePermeability
@@ -33,6 +34,9 @@ RECIPES: dict[str, list[dict[str, object]]] = {
     "preset `paper`": [{"preset": "paper"}],
 }
 """Structures of the table by name."""
+
+DIGITS = (3, 2, 3, 4, 3)
+"""Digits of the means."""
 
 
 def gyroid() -> SheetField:
@@ -64,8 +68,20 @@ def measured(field: ScalarField, resolution: int) -> list[float]:
     return [stiff["isotropic"]["E"], stiff["universal_anisotropy"], flow.k_mean, flow.surface or np.nan, open_]
 
 
+def row(name: str, found: NDArray[np.float64]) -> str:
+    """A row of the table: means, standard deviations, and the least or largest of a draw; found (draws, 5)."""
+    mean, draws = found.mean(0), len(found)
+    spread = found.std(0, ddof=1) if draws > 1 else np.zeros(5)
+    values = [f"{m:.{d}g}" + (f" ± {s:.1g}" if draws > 1 else "") for m, s, d in zip(mean, spread, DIGITS, strict=True)]
+    stiff, alike, k, surface, through = values
+    return (
+        f"| {name} | {draws} | {stiff} | {found[:, 0].min():.4f} | {alike} | {found[:, 1].max():.3f} | {k} "
+        f"| {surface} | {through} | {found[:, 4].min():.4f} |"
+    )
+
+
 def main() -> None:
-    """Print a row of a table for each structure: means, standard deviations, and the least and largest of a draw."""
+    """Print a row of a table for each structure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", default=list(RECIPES))
     parser.add_argument("--draws", type=int, default=10)
@@ -75,18 +91,9 @@ def main() -> None:
     print("| structure | draws | E / E_s | least | A^U | largest | k / L^2 | S L | k S^2 | least |")
     print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     for name in args.names:
-        draws = 1 if name == "gyroid sheet" else args.draws
-        found = np.array([measured(drawn(name, 1 + i, args.porosity), args.resolution) for i in range(draws)])
-        mean, spread = found.mean(0), found.std(0, ddof=1) if draws > 1 else np.full(5, np.nan)
-        stiff, alike, k, surface, through = (
-            f"{m:.{d}g}" + (f" ± {s:.1g}" if draws > 1 else "")
-            for m, s, d in zip(mean, spread, (4, 2, 3, 4, 3), strict=True)
-        )
-        print(
-            f"| {name} | {draws} | {stiff} | {found[:, 0].min():.4f} | {alike} | {found[:, 1].max():.3f} | {k} "
-            f"| {surface} | {through} | {found[:, 4].min():.4f} |",
-            flush=True,
-        )
+        seeds = range(1, 2 if name == "gyroid sheet" else 1 + args.draws)
+        found = [measured(drawn(name, seed, args.porosity), args.resolution) for seed in seeds]
+        print(row(name, np.array(found)), flush=True)
 
 
 if __name__ == "__main__":

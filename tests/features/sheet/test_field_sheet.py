@@ -206,3 +206,18 @@ def test_the_limit_and_permeability_agree_with_coarser_grids(cell):
     flow = [HomogenizePermeability(resolution=n).run(PlainContext(0), field).k_mean for n in (32, 48)]
     assert stiff[0] == pytest.approx(stiff[1], rel=0.03)
     assert flow[0] == pytest.approx(flow[1], rel=0.05)
+
+
+def test_a_stretched_and_turned_sheet_is_stiff_along_its_longest_axis():
+    def moduli(**options):
+        report = HomogenizeVoxel(resolution=40).run(PlainContext(0), made(total=130, **options)[0]).summary()
+        return np.array([report["C"][axis][axis] for axis in range(3)])
+
+    x, y, z = moduli(stretch=(1.0, 2.0))
+    assert z > 1.5 * max(x, y)
+    assert x == pytest.approx(y, rel=0.25)
+    # a quarter turn about x takes z to -y
+    turned = moduli(stretch=(1.0, 2.0), turn=(90.0, 0.0, 0.0))
+    assert turned[1] > 1.5 * max(turned[0], turned[2])
+    x, y, z = moduli(stretch=(1.6, 2.5))
+    assert z > 1.1 * y > 1.1 * 1.1 * x

@@ -86,8 +86,8 @@ def alike_in_all_directions(amplitudes: NDArray[np.complex128], moments: F64) ->
     power = np.abs(amplitudes) ** 2
     weighted = moments * power
     # one of the moments follows from the others: the matrix is singular
-    found = np.linalg.lstsq(weighted @ moments.T, weighted.sum(1), rcond=1e-9)[0]
-    factors = np.clip(1 - found @ moments, 1 / _CORRECTION, _CORRECTION)
+    found = np.linalg.lstsq(np.einsum("ik,jk->ij", weighted, moments), weighted.sum(1), rcond=1e-9)[0]
+    factors = np.clip(1 - (found[:, None] * moments).sum(0), 1 / _CORRECTION, _CORRECTION)
     return np.asarray(amplitudes * np.sqrt(factors))
 
 
@@ -101,7 +101,9 @@ def relaxed(
     metric = np.eye(3) if metric is None else metric
     vectors, weights = band_of(wavenumber, width, metric)
     moments = moments_of(vectors @ metric)
-    amplitudes = np.exp(-2j * np.pi * (vectors @ points.T)) @ charges * weights
+    # BLAS, whose sums depend on its threads, is left out
+    turns = sum(vectors[:, axis, None] * points[:, axis] for axis in range(3))
+    amplitudes = (np.exp(-2j * np.pi * turns) * charges).sum(1) * weights
     most = int(np.abs(vectors).max())
     n = _grid_for(most)
     place = tuple(np.where(vectors < 0, vectors + n, vectors).T)

@@ -23,11 +23,13 @@ from sppm_pipeline import (
     Stage,
     TunnelGraph,
     option,
+    options,
 )
 from sppm_pipeline.features.sheet.sheet_field import SheetField, SheetMicrostructure
 from sppm_pipeline.method.fields.microstructure import pieces_from_graph
 from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.numerics import Grid, cell_centers, phase_report
+from sppm_pipeline.services.mesh.rotation import rotation
 
 PERIOD = 1.52
 """Period of the sheets, in mean distances of pores: the two networks are as far apart as the pores of both colors."""
@@ -83,6 +85,13 @@ class SheetStage(Stage):
         0.2, help="relative width of the band of wave lengths: a narrow one has more regular sheets",
         minimum=0.05, maximum=0.5,
     )  # fmt: skip
+    stretch: tuple[float, float] = option(
+        (1.0, 1.0), help="how many times longer the networks are along y and along z than along x; of one cell, as "
+        "scattered pores follow maps", minimum=0.25, maximum=4,
+    )  # fmt: skip
+    turn: tuple[float, float, float] = options.turn(
+        (0.0, 0.0, 0.0), note="by which its axes are turned"
+    )
     steps: int = option(
         40, help="steps of relaxation; many make the sheets regular, a crystal in the end", minimum=0, maximum=1000
     )
@@ -122,8 +131,12 @@ class SheetStage(Stage):
         colors = two_networks(pairs, len(points), context.rng())
         context.report(period=period, own_neighbors=float((colors[pairs[:, 0]] == colors[pairs[:, 1]]).mean()))
         if blocks is not None:
+            if self.stretch != (1.0, 1.0):
+                raise ConfigError(
+                    "option 'stretch' is for the waves of one cell", hint="scattered pores follow a map of `stretch`"
+                )
             return self._of_kernels(context, pores, colors, period)
-        made = relaxed(points, colors.astype(np.float64), 1 / period, self.band, self.steps)
+        made = relaxed(points, colors.astype(np.float64), 1 / period, self.band, self.steps, self._metric())
         middle, half_width, slope = self._cut(made.samples, made.slopes)
         field = SheetField(
             waves=made.waves, middle=middle, half_width=half_width, slope=slope,
@@ -171,10 +184,17 @@ class SheetStage(Stage):
         middle, level, slope = self._cut(np.stack(samples), np.stack(slopes))
         return replace(made(np.full(len(colors), plain)), level=level, middle=middle, slope=slope)
 
+    def _metric(self) -> NDArray[np.float64]:
+        """The matrix (3, 3) by which the structure is stretched, of determinant 1."""
+        lengths = np.array([1.0, *self.stretch])
+        return np.asarray(rotation(self.turn) * (lengths / lengths.prod() ** (1 / 3)))
+
     def _period(self, pores: float, cell: Cell, scattered: bool) -> float:
         """The period in cell sizes; `ConfigError` if it can't be relaxed in a cell."""
         period = PERIOD * max(pores, 1e-9) ** (-1 / 3) if self.period is None else cell.fraction(self.period)
-        if not scattered and not 1 / MAX_PERIODS <= period <= 1:
+        # where sheets are compressed, waves are shorter
+        least = float(np.linalg.svd(self._metric(), compute_uv=False).min())
+        if not scattered and not 1 / MAX_PERIODS <= least * period <= period <= 1:
             raise ConfigError(
                 f"the period of the sheets is {period:.3g} cell sizes; allowed are {1 / MAX_PERIODS:g} to 1",
                 hint=f"give a `period`, or {math.ceil(PERIOD**3)} to {math.floor((PERIOD * MAX_PERIODS) ** 3)} pores",
