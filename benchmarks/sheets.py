@@ -1,6 +1,7 @@
 """Sheets between two random networks beside other open structures: stiffness, permeability and surface.
 
     python -m benchmarks.sheets [NAMES ...] [--draws 10] [--resolution 64] [--porosity 0.7]
+    python -m benchmarks.sheets --waves [--draws 10]
 
 Stiffness is that of the limit of fine grids (`homogenize.voxel`, two grids), permeability k and surface S are those of
 the field on the grid. k S^2 has no scale: it says how open a structure is for its surface.
@@ -17,10 +18,12 @@ import sppm_pipeline as sppm
 from sppm_pipeline.features.flow.stages.homogenize_permeability import HomogenizePermeability
 from sppm_pipeline.features.sheet.numerics.waves import Waves
 from sppm_pipeline.features.sheet.sheet_field import SheetField
+from sppm_pipeline.features.sheet.stages.field_sheet import SheetStage
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.porosity.level import cut_for_porosity
-from sppm_pipeline.testing.plain_context import PlainContext
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 SAMPLER = {"stage": "sample.dart_throwing", "total": 95}
 RECIPES: dict[str, list[dict[str, object]]] = {
@@ -80,6 +83,23 @@ def row(name: str, found: NDArray[np.float64]) -> str:
     )
 
 
+def print_waves(draws: int) -> None:
+    """Print the effective number of waves, one over the sum of their squared shares of the power, mean of draws."""
+    steps = (0, 10, 20, 40, 80, 160)
+    print(
+        "| pores, band | " + " | ".join(f"{n} steps" for n in steps) + " |\n|---" + "|---" * len(steps) + "|",
+        flush=True,
+    )
+    for pores, band in ((95, 0.2), (95, 0.12), (225, 0.2)):
+        means = []
+        for n in steps:
+            cell = recipe_of(DartThrowing(total=pores), SheetStage(band=band, steps=n))
+            waves = [cell.run(PlainContext(1 + i)).waves for i in range(draws)]
+            power = [(w.real**2 + w.imaginary**2) for w in waves]
+            means.append(float(np.mean([p.sum() ** 2 / (p**2).sum() for p in power])))
+        print(f"| {pores}, {band:g} | " + " | ".join(f"{m:.1f}" for m in means) + " |", flush=True)
+
+
 def main() -> None:
     """Print a row of a table for each structure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -87,7 +107,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--resolution", type=int, default=64)
     parser.add_argument("--porosity", type=float, default=0.7)
+    parser.add_argument("--waves", action="store_true", help="print how many waves share the power instead")
     args = parser.parse_args()
+    if args.waves:
+        print_waves(args.draws)
+        return
     print("| structure | draws | E / E_s | least | A^U | largest | k / L^2 | S L | k S^2 | least |")
     print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     for name in args.names:

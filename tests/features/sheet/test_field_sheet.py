@@ -101,7 +101,7 @@ def test_the_walls_are_as_thick_as_stated(cell):
     assert np.quantile(thick, 0.1) == pytest.approx(field.thinnest_wall, abs=0.015)
 
 
-def test_the_preset_is_stiff_open_and_alike_in_all_directions():
+def test_the_preset_is_stiff_open_and_isotropic():
     pipeline = Pipeline(
         [
             {"stage": "tune.porosity", "recipe": "open", "target": 0.7, "resolution": 32, "tolerance": 0.005},

@@ -5,7 +5,7 @@ import pytest
 
 from sppm_pipeline.features.sheet.numerics.waves import (
     Waves,
-    alike_in_all_directions,
+    with_isotropic_power,
     band_of,
     moments_of,
     relaxed,
@@ -70,7 +70,7 @@ def test_directions_are_alike_to_fourth_order():
     plain = weights * (rng.normal(size=len(vectors)) + 1j * rng.normal(size=len(vectors)))
     moments = moments_of(vectors.astype(float))
     before = np.abs(moments @ np.abs(plain) ** 2).max()
-    after = np.abs(moments @ np.abs(alike_in_all_directions(plain, moments)) ** 2).max()
+    after = np.abs(moments @ np.abs(with_isotropic_power(plain, moments)) ** 2).max()
     assert after < 0.2 * before
 
 

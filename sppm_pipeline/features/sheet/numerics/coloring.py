@@ -24,7 +24,7 @@ _SWEEPS = 30
 def two_networks(pairs: I64, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
     """Colors 1 and -1 of so many pores, (count,), of which each is one network, where the neighbors (m, 2) allow it.
 
-    All pores must hang together by their neighbors, else each part has a network of either color of its own.
+    Pores that are not connected by neighbors have networks of their own, two in each part.
     """
     colors = np.ones(count, np.int8)
     colors[rng.permutation(count)[: count // 2]] = -1
@@ -88,7 +88,7 @@ def _exchange(
 
 @jit
 def _unite_colors(first: I64, neighbors: I64, colors: NDArray[np.int8]) -> None:
-    """Give all but the largest part of each color, among pores that hang together, the other color, until none is left.
+    """Give all but the largest part of each color, among connected pores, the other color, until none is left.
 
     What turns joins the parts around it, and leaves the largest of its color whole, so there are fewer parts each time.
     """

@@ -81,7 +81,7 @@ def moments_of(vectors: F64) -> F64:
     return np.array(rows)
 
 
-def alike_in_all_directions(amplitudes: NDArray[np.complex128], moments: F64) -> NDArray[np.complex128]:
+def with_isotropic_power(amplitudes: NDArray[np.complex128], moments: F64) -> NDArray[np.complex128]:
     """Waves whose power has moments of zero, by the least change in proportion; each power changes within a factor."""
     power = np.abs(amplitudes) ** 2
     weighted = moments * power
@@ -115,11 +115,11 @@ def relaxed(
         return np.asarray(np.fft.ifftn(spectrum).real * n**3)
 
     for _ in range(steps):
-        amplitudes = alike_in_all_directions(amplitudes, moments)
+        amplitudes = with_isotropic_power(amplitudes, moments)
         field = sampled(amplitudes)
         limited = np.tanh(_GAIN / field.std() * field)
         amplitudes = np.fft.fftn(limited)[place] * weights / n**3
-    amplitudes = alike_in_all_directions(amplitudes, moments)
+    amplitudes = with_isotropic_power(amplitudes, moments)
     amplitudes /= math.sqrt(2 * float((np.abs(amplitudes) ** 2).sum()))
     # what a transform leaves in the last digits differs from processor to processor
     amplitudes = np.ldexp(np.round(np.ldexp(amplitudes.real, _DIGITS)), -_DIGITS) + 1j * np.ldexp(

@@ -60,7 +60,7 @@ class SheetStage(Stage):
     Pores are given two colors so that each color is one connected network. The field is positive around the pores of
     one color and negative around those of the other, and is relaxed until its zero is nearly a minimal surface: in
     `steps` of a limiter and a band of waves of one length, after Swift and Hohenberg (1977), with weights that make the
-    waves alike in all directions. Solid is where the field is near the middle value. An extension of the paper, which
+    waves isotropic. Solid is where the field is near the middle value. An extension of the paper, which
     needs no tunnels: both networks percolate as they are, which is checked. A target porosity (`tune.porosity`, a
     tiling's `porosity`, `tune.local_porosity`) is reached by the thickness of the sheet.
 
@@ -89,9 +89,7 @@ class SheetStage(Stage):
         (1.0, 1.0), help="how many times longer the networks are along y and along z than along x; of one cell, as "
         "scattered pores follow maps", minimum=0.25, maximum=4,
     )  # fmt: skip
-    turn: tuple[float, float, float] = options.turn(
-        (0.0, 0.0, 0.0), note="by which its axes are turned"
-    )
+    turn: tuple[float, float, float] = options.turn((0.0, 0.0, 0.0), note="by which its axes are turned")
     steps: int = option(
         40, help="steps of relaxation; many make the sheets regular, a crystal in the end", minimum=0, maximum=1000
     )
