@@ -29,8 +29,8 @@ SAMPLER = {"stage": "sample.dart_throwing", "total": 95}
 RECIPES: dict[str, list[dict[str, object]]] = {
     "preset `open`": [{"preset": "open"}],
     "sheet, equal shares": [SAMPLER, {"stage": "field.sheet"}],
-    "the same, 100 steps": [SAMPLER, {"stage": "field.sheet", "steps": 100}],
-    "the same, not relaxed": [SAMPLER, {"stage": "field.sheet", "steps": 0}],
+    "the same, 100 steps": [SAMPLER, {"stage": "field.sheet", "relaxation": 100}],
+    "the same, not relaxed": [SAMPLER, {"stage": "field.sheet", "relaxation": 0}],
     "sheet, scattered pores": [SAMPLER, {"stage": "field.sheet"}],
     "gyroid sheet": [],
     "preset `stiff`": [{"preset": "stiff"}],
@@ -93,7 +93,7 @@ def print_waves(draws: int) -> None:
     for pores, band in ((95, 0.2), (95, 0.12), (225, 0.2)):
         means = []
         for n in steps:
-            cell = recipe_of(DartThrowing(total=pores), SheetStage(band=band, steps=n))
+            cell = recipe_of(DartThrowing(total=pores), SheetStage(band=band, relaxation=n))
             waves = [cell.run(PlainContext(1 + i)).waves for i in range(draws)]
             power = [(w.real**2 + w.imaginary**2) for w in waves]
             means.append(float(np.mean([p.sum() ** 2 / (p**2).sum() for p in power])))

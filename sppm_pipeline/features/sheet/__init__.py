@@ -22,8 +22,8 @@ def sppm_presets() -> dict[str, Preset]:
             "open, stiff and isotropic: a sheet between two random networks, one of them wider than the other",
             [
                 {"stage": "sample.dart_throwing", "edge": "${edge}", "total": "${total}"},
-                {"stage": "field.sheet", "density": "${density}", "share": "${share}"},
+                {"stage": "field.sheet", "density": "${density}", "balance": "${balance}"},
             ],
-            {"total": 95, "edge": None, "density": 0.3, "share": 0.57},
+            {"total": 95, "edge": None, "density": 0.3, "balance": 0.57},
         ),
     }

@@ -34,7 +34,7 @@ def made(seed=1, **options):
 
 @pytest.fixture(scope="module")
 def cell():
-    return made(share=0.6)
+    return made(balance=0.6)
 
 
 def test_the_cell_has_the_density_and_two_networks_of_the_shares_asked_for(cell):
@@ -78,7 +78,7 @@ def test_samples_repeat_with_the_cell_and_do_not_depend_on_the_grid(cell):
 
 def test_tuning_changes_the_thickness_alone(cell):
     field, _ = cell
-    tuned = TunePorosity(target=0.55).run(PlainContext(1), recipe(share=0.6))
+    tuned = TunePorosity(target=0.55).run(PlainContext(1), recipe(balance=0.6))
     assert 1 - tuned.solid(97).mean() == pytest.approx(0.55, abs=1e-3)
     assert (tuned.middle, tuned.slope) == (field.middle, field.slope)
     assert np.array_equal(tuned.waves.real, field.waves.real)
@@ -86,9 +86,9 @@ def test_tuning_changes_the_thickness_alone(cell):
 
 
 def test_the_same_seed_makes_the_same_waves(cell):
-    again, _ = made(share=0.6)
+    again, _ = made(balance=0.6)
     assert again.digest() == cell[0].digest()
-    assert made(seed=2, share=0.6)[0].digest() != again.digest()
+    assert made(seed=2, balance=0.6)[0].digest() != again.digest()
 
 
 def test_the_walls_are_as_thick_as_stated(cell):
@@ -191,7 +191,7 @@ def test_what_is_refused_says_why():
     with pytest.raises(ConfigError, match="one periodic cell"):
         WangTileSet().run(PlainContext(0), tiles)
     with pytest.raises(DesignError, match="network does not lead through the cell"):
-        recipe(density=0.9, share=0.25).run(PlainContext(0))
+        recipe(density=0.9, balance=0.25).run(PlainContext(0))
 
 
 def test_a_check_refuses_pores_without_a_color(scattered):

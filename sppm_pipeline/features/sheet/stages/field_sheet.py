@@ -59,9 +59,9 @@ class SheetStage(Stage):
 
     Pores are given two colors so that each color is one connected network. The field is positive around the pores of
     one color and negative around those of the other, and is relaxed until its zero is nearly a minimal surface: in
-    `steps` of a limiter and a band of waves of one length, after Swift and Hohenberg (1977), with weights that make the
-    waves isotropic. Solid is where the field is near the middle value. An extension of the paper, which
-    needs no tunnels: both networks percolate as they are, which is checked. A target porosity (`tune.porosity`, a
+    steps of `relaxation`, by a limiter and a band of waves of one length, after Swift and Hohenberg (1977), with
+    weights that make the waves isotropic. Solid is where the field is near the middle value. An extension of the paper,
+    which needs no tunnels: both networks percolate as they are, which is checked. A target porosity (`tune.porosity`, a
     tiling's `porosity`, `tune.local_porosity`) is reached by the thickness of the sheet.
 
     Cells are relaxed one by one, and can be repeated. Scattered pores (`tile.scattered`) are not relaxed: the field is
@@ -72,8 +72,10 @@ class SheetStage(Stage):
     headline: ClassVar[tuple[Headline, ...]] = (Headline("period"), Headline("thinnest_wall", "thinnest wall"))
     reported: ClassVar[tuple[str, ...]] = ("period", "own_neighbors", "pockets", "void_shares.#2")
 
-    density: float = option(0.3, help="share of solid, before any tuning", minimum=0.02, maximum=0.9)
-    share: float = option(
+    density: float = option(
+        0.3, help="expected share of solid, which sets the level; before any tuning", minimum=0.02, maximum=0.9
+    )
+    balance: float = option(
         0.5, help="share of the volume on the first network's side of the middle of the sheet: with unequal ones more "
         "flows, through the wider network", minimum=0.25, maximum=0.75,
     )  # fmt: skip
@@ -90,7 +92,7 @@ class SheetStage(Stage):
         "scattered pores follow maps", minimum=0.25, maximum=4,
     )  # fmt: skip
     turn: tuple[float, float, float] = options.turn((0.0, 0.0, 0.0), note="by which its axes are turned")
-    steps: int = option(
+    relaxation: int = option(
         40, help="steps of relaxation; many make the sheets regular, a crystal in the end", minimum=0, maximum=1000
     )
 
@@ -98,7 +100,7 @@ class SheetStage(Stage):
         cell = pores.cell
         periods = 1 / self._period(cell.pores, cell.cell, palette.blocks is not None)
         made = Geometry(edge_mm=cell.edge_mm, porosity=1 - self.density, surface=4.2 * periods, kernels=2.0)
-        return Size(pores=cell.interiors * cell.pores, samples=(self.steps + 5) * 1000 * periods**3,
+        return Size(pores=cell.interiors * cell.pores, samples=(self.relaxation + 5) * 1000 * periods**3,
                     design=replace(cell, radii=(1 / periods, 0.0)), geometry=made)  # fmt: skip
 
     def run(self, context: Context, pores: PoreSet) -> ScalarField:
@@ -134,7 +136,7 @@ class SheetStage(Stage):
                     "option 'stretch' is for the waves of one cell", hint="scattered pores follow a map of `stretch`"
                 )
             return self._of_kernels(context, pores, colors, period)
-        made = relaxed(points, colors.astype(np.float64), 1 / period, self.band, self.steps, self._metric())
+        made = relaxed(points, colors.astype(np.float64), 1 / period, self.band, self.relaxation, self._metric())
         middle, half_width, slope = self._cut(made.samples, made.slopes)
         field = SheetField(
             waves=made.waves, middle=middle, half_width=half_width, slope=slope,
@@ -145,7 +147,7 @@ class SheetStage(Stage):
 
     def _cut(self, samples: NDArray[np.floating], slopes: NDArray[np.floating]) -> tuple[float, float, float]:
         """The value in the middle of the sheet, its half width and its steepness, from samples of the field."""
-        middle = float(np.quantile(samples, 1 - self.share))
+        middle = float(np.quantile(samples, 1 - self.balance))
         away = np.abs(samples - middle)
         half_width = float(np.quantile(away, self.density))
         return middle, half_width, float(np.quantile(slopes[away <= half_width], 0.9))
@@ -220,7 +222,7 @@ class SheetStage(Stage):
                 which = ("first", "second")[number]
                 raise DesignError(
                     f"the {which} network does not lead through the cell along {', '.join(closed)}",
-                    hint="take another `seed`, more pores, a lower `density`, or a `share` nearer to 0.5",
+                    hint="take another `seed`, more pores, a lower `density`, or a `balance` nearer to 0.5",
                 )
             shares.append(float((side > field.half_width).mean()))
             pockets += void.components - 1
