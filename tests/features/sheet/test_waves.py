@@ -5,11 +5,11 @@ import pytest
 
 from sppm_pipeline.features.sheet.numerics.waves import (
     Waves,
-    with_isotropic_power,
     band_of,
     moments_of,
     relaxed,
     sum_of_waves,
+    with_isotropic_power,
 )
 
 AXIS = np.linspace(-0.3, 1.4, 7)
