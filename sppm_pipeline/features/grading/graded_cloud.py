@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
-from sppm_pipeline.features.grading.map_sizes import DIRECTION, graded_radii, metric_at
+from sppm_pipeline.features.grading.map_sizes import ACROSS, DIRECTION, graded_radii, metric_at
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import (
     corrected,
@@ -37,7 +37,7 @@ STEEP = 1.0
 AT_A_TIME = 1 << 18
 """Nodes at which maps are evaluated together: 6 MB of points."""
 
-FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION)
+FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION, *ACROSS)
 """Maps that change what is scattered."""
 
 

@@ -629,3 +629,50 @@ def test_anybody_s_maps_are_followed_unless_they_change_nothing():
         stage = ScatteredTiling(cells=(2, 1, 1), rounds=rounds)
         tiling = stage.run(PlainContext(1), recipe, None, Elsewhere())
         assert (np.bincount(tiling.tileset.micro.graph.pores.piece) == pores).all()
+
+
+def constant(name, value):
+    return ramp(name, value, value, 1)
+
+
+def test_two_stretches_and_a_rotation_are_any_affine_shape():
+    from sppm_pipeline.features.grading.map_sizes import metric_at
+    from sppm_pipeline.services.mesh.rotation import rotation
+
+    axes = rotation((25.0, -40.0, 70.0))
+    d, e = axes[:, 2], axes[:, 1]
+    # of the second vector only the part across the first one counts
+    second = 3 * e + 0.7 * d
+    laws = [constant("stretch", 1.5), constant("stretch_across", 0.8)]
+    laws += [constant(f"direction_{axis}", 2 * value) for axis, value in zip("xyz", d, strict=True)]
+    laws += [constant(f"across_{axis}", value) for axis, value in zip("xyz", second, strict=True)]
+    expected = axes @ np.diag([1, 0.8**-2, 1.5**-2]) @ axes.T
+    tiling, _ = laid(*laws, cells=(2, 2, 2))
+    pieces = tiling.tileset.micro.pieces
+    for metric in (pieces.kernels.pore_metric, pieces.kernels.tunnel_metric):
+        assert np.allclose(matrices(metric), expected)
+    pores = in_lattice(tiling)
+    assert len(pores) == pytest.approx(64 * 30 / (1.5 * 0.8), abs=1)
+    # lengths in the metric are those of the structure before it was stretched
+    plain = pores @ axes / [1, 0.8, 1.5]
+    apart, _ = cKDTree(plain).query(plain, 2)
+    assert 1 - 1e-9 <= apart[:, 1].min() / spacing_at_share(30, 0.5) < 1.02
+    parallel = [constant(f"across_{axis}", value) for axis, value in zip("xyz", d, strict=True)]
+
+    def metrics(*laws):
+        return metric_at(Grading(laws).in_cells(4.0, (0.0, 0.0, 0.0)), np.zeros((2, 3)))
+
+    assert np.allclose(metrics(*laws[:5], *parallel), metrics(laws[0], *laws[2:5]))
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("stretch_across",), "no map `stretch`"),
+        (("stretch", "direction_x", "stretch_across"), "lacks a map of across_x"),
+        (("stretch", "direction_x", "across_x"), "lacks a map `stretch_across`"),
+    ],
+)
+def test_a_second_stretch_needs_a_first_and_a_direction(names, words):
+    with pytest.raises(ConfigError, match=words):
+        laid(*(constant(name, 1.2) for name in names), cells=(2, 2, 2))
