@@ -676,3 +676,33 @@ def test_two_stretches_and_a_rotation_are_any_affine_shape():
 def test_a_second_stretch_needs_a_first_and_a_direction(names, words):
     with pytest.raises(ConfigError, match=words):
         laid(*(constant(name, 1.2) for name in names), cells=(2, 2, 2))
+
+
+def test_a_box_of_evenly_stretched_pores_repeats():
+    laws = [constant("stretch", 1.5), constant("direction_x", 1.0), constant("direction_z", 1.0)]
+    tiling, _ = laid(*laws, constant("stretch_across", 1.2), constant("across_y", 1.0), cells=(2, 2, 2), periodic=True,
+                     porosity=0.5)  # fmt: skip
+    micro, pores = tiling.tileset.micro, in_lattice(tiling)
+    metric = matrices(micro.pieces.kernels.pore_metric[:1])[0]
+    assert len(pores) == pytest.approx(8 * 30 / (1.5 * 1.2), abs=1)
+    images = (pores[:, None] + 2 * np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)).reshape(-1, 3)
+    steps = pores[:, None] - images
+    lengths = np.sqrt(np.einsum("ijk,kl,ijl->ij", steps, metric, steps))
+    assert 1 - 1e-9 <= np.sort(lengths, axis=1)[:, 1].min() / spacing_at_share(30, 0.5) < 1.05
+    # tunnels lead to near pores in the metric, across the border of the box as well
+    first, second = micro.graph.segments()
+    tunnels = np.sqrt(np.einsum("ik,kl,il->i", second - first, metric, second - first))
+    assert tunnels.max() < 2.5 * spacing_at_share(30, 0.5)
+    grid = Grid((0.05, 0.05, 0.05), (0.1,) * 3, (20, 20, 20))
+    values = tiling.sample(grid)
+    assert np.allclose(values, tiling.sample(grid._replace(origin=(2.05, -1.95, 0.05))), atol=1e-5)
+    assert (values >= 0).mean() == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [(ramp("stretch", 1.2, 1.5, 2), "varies do not repeat"), (ramp("scale", 1, 1, 1), "'scale' do not")],
+)
+def test_boxes_that_follow_varying_maps_do_not_repeat(law, words):
+    with pytest.raises(ConfigError, match=words):
+        laid(law, *([constant("direction_x", 1.0)] if law.name == "stretch" else []), cells=(2, 2, 2), periodic=True)
