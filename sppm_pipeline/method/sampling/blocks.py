@@ -106,8 +106,8 @@ def throw_blocks(
     """Throw `quotas` (nx, ny, nz) pores into the blocks of a lattice; the result does not depend on the threads.
 
     Two pores keep `spacing` block edges, at most 1; with a `density` > 0 at the nodes of `graded_blocks`, which is one
-    number for a lattice that repeats, ``spacing density^(-1/3)``. A `metric` (..., 6) at the nodes (`services.metric`) needs
-    a density. Pores `before` have the form of the result: centers (n, 3), relative to the low corner of the block
+    number for a lattice that repeats, ``spacing density^(-1/3)``. A `metric` (..., 6) at the nodes (`services.metric`)
+    needs a density. Pores `before` have the form of the result: centers (n, 3), relative to the low corner of the block
     in block edges, blocks in C order of (x, y, z); and where those of each block begin, (blocks + 1,). `seed` is taken
     modulo 2^64.
 
