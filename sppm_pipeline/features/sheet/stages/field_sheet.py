@@ -65,7 +65,7 @@ class SheetStage(Stage):
     tiling's `porosity`, `tune.local_porosity`) is reached by the thickness of the sheet.
 
     Cells are relaxed one by one, and can be repeated. Scattered pores (`tile.scattered`) are not relaxed: the field is
-    the difference of the kernels of both colors, which is local; such a sheet is a tenth softer.
+    the difference of the kernels of both colors, which is local; such a sheet is an eighth softer.
     """
 
     name: ClassVar[str] = "field.sheet"
