@@ -35,12 +35,12 @@ WIDE = [
     {"stage": "connect.mbdst", "degree": [3, 5], "mode": "greedy"},
     {"stage": "field.gaussian", "pore_radius": 0.1075, "tunnel_radius": 0.0658},
 ]
-"""The stages of the preset `permeable` with 95 pores, which the level makes small."""
+"""Wide tunnels between 95 pores, which the level makes small."""
 
 RECIPES: dict[str, Any] = {
     "paper": "paper",
     "stiff": "stiff",
-    "permeable": WIDE,
+    "wide": WIDE,
     "gyroid": [{"stage": "field.tpms", "surface": "gyroid", "form": "sheet"}],
     "openfoam": [{"stage": "field.voronoi_foam", "form": "open"}],
     "spinodoid": [{"stage": "field.spinodoid"}],
@@ -50,7 +50,7 @@ RECIPES: dict[str, Any] = {
 }
 #: Recipe, porosity, seed, Young's modulus of what fills the void.
 CELLS = (
-    *((name, porosity, 1, 0.0) for name in ("paper", "stiff", "permeable", "gyroid") for porosity in (0.3, 0.5, 0.7)),
+    *((name, porosity, 1, 0.0) for name in ("paper", "stiff", "wide", "gyroid") for porosity in (0.3, 0.5, 0.7)),
     ("paper", 0.7, 2, 0.0),
     *((name, porosity, 1, 0.0) for name in ("openfoam", "spinodoid") for porosity in (0.5, 0.7)),
     *((name, 0.5, 1, 1e-3) for name in ("paper", "gyroid", "spinodoid")),
@@ -60,14 +60,14 @@ HELD_OUT = (
     ("stiff", 0.6, 3, 0.0),
     ("paper", 0.6, 4, 0.0),
     ("octet", 0.7, 1, 0.0),
-    ("permeable", 0.6, 3, 0.0),
+    ("wide", 0.6, 3, 0.0),
     ("paper", 0.4, 3, 0.01),
     ("kelvin", 0.6, 1, 0.0),
     ("spinodoid", 0.6, 2, 0.0),
     ("diamond", 0.6, 1, 0.0),
     ("stiff", 0.4, 5, 0.0),
     ("iwp", 0.4, 1, 0.0),
-    ("permeable", 0.4, 2, 0.0),
+    ("wide", 0.4, 2, 0.0),
     ("openfoam", 0.6, 3, 0.0),
 )
 

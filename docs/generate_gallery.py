@@ -36,6 +36,7 @@ GALLERY = {
     },
     "Cells and tiles": {
         "walls_cell": ("Walls between pores", "walls.png"),
+        "sheet_cell": ("A sheet between two networks", "sheet.png"),
         "wang_tiles": ("The 27 tiles of the paper", "tiles.png"),
         "folded": ("What repeats", "folded.png"),
     },

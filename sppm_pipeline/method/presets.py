@@ -36,17 +36,6 @@ PRESETS = {
         ],
         {**_PORES, "edge": None, "stealth": None, "tunnel_radius": None, "rounding": None},
     ),
-    "permeable": Preset(
-        "wide open: a third of the paper's pores, as large as its, joined by wide tunnels",
-        [
-            *_THROWN,
-            {"stage": "sample.dart_throwing", "total": "${total}"},
-            _JOINED,
-            {"stage": "field.gaussian", "pore_radius": "${pore_radius}", "tunnel_radius": "${tunnel_radius}"},
-        ],
-        # the number that reaches a porosity of 0.7 at these radii; more would be shrunk by the level
-        {**_PORES, "total": 33, "edge": None, "degree": [3, 5], "pore_radius": 0.1075, "tunnel_radius": 0.0658},
-    ),
 }
 """Pores lie on the faces, too, so that all of them serve single cells, tile sets and scattered cells alike."""
 

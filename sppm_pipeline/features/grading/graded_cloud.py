@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
-from sppm_pipeline.features.grading.map_sizes import DIRECTION, graded_radii, metric_at
+from sppm_pipeline.features.grading.map_sizes import ACROSS, DIRECTION, graded_radii, metric_at
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import (
     corrected,
@@ -22,7 +22,14 @@ from sppm_pipeline.features.grading.rounds import (
     scattered,
     trial,
 )
-from sppm_pipeline.method.families.tiler import HALO, REPORTED_CELLS, TRIAL_BLOCKS, Scattering, without_faces
+from sppm_pipeline.method.families.tiler import (
+    HALO,
+    REPORTED_CELLS,
+    TRIAL_BLOCKS,
+    Scattering,
+    at_porosity,
+    without_faces,
+)
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
 from sppm_pipeline.method.part.part import Part
@@ -37,7 +44,10 @@ STEEP = 1.0
 AT_A_TIME = 1 << 18
 """Nodes at which maps are evaluated together: 6 MB of points."""
 
-FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION)
+EVEN = 1e-9
+"""Difference of metrics up to which a map counts as constant."""
+
+FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION, *ACROSS)
 """Maps that change what is scattered."""
 
 
@@ -46,7 +56,7 @@ def scattered_by_maps(context: Context, grading: Grading, wanted: Scattering) ->
     if not any(name in grading for name in FOLLOWED):
         return None
     if wanted.periodic:
-        raise ConfigError("graded cells do not repeat", hint="leave out `periodic`")
+        return repeated_by_maps(context, grading, wanted)
     if wanted.porosity is not None and "porosity" in grading:
         raise ConfigError(
             "the porosity is given twice, by a map and by the option or a design", hint="leave out one of them"
@@ -56,6 +66,43 @@ def scattered_by_maps(context: Context, grading: Grading, wanted: Scattering) ->
         edge = trial(context, wanted.recipe, None, 1).physical_edge()
     cloud = GradedCloud(wanted, grading, np.pad(mask, HALO), edge, origin)
     return cloud.laid(context)
+
+
+def repeated_by_maps(context: Context, grading: Grading, wanted: Scattering) -> Tiling:
+    """A box that repeats, of pores that are stretched alike everywhere; `ConfigError` if a map varies."""
+    from sppm_pipeline.method.connecting.regional import WHOLE
+
+    if varying := [name for name in FOLLOWED if name in grading and name not in ("stretch", *DIRECTION, *ACROSS)]:
+        raise ConfigError(
+            f"cells that follow the map {varying[0]!r} do not repeat", hint="leave out `periodic`, or the map"
+        )
+    mask, edge, origin = wanted.lattice
+    if min(mask.shape) < 2:
+        raise ConfigError(
+            f"a box of {list(mask.shape)} blocks that repeats has blocks that are their own neighbors",
+            hint="give at least 2 cells along each axis",
+        )
+    edge = trial(context, wanted.recipe, None, 1).physical_edge() if edge is None else edge
+    shape = tuple(NODES * n + 1 for n in mask.shape)
+    places = np.argwhere(np.ones(shape, bool)) / NODES
+    metric = metric_at(grading.in_cells(edge, origin), places * edge + np.array(origin))
+    assert metric is not None
+    if np.abs(metric - metric[0]).max() > EVEN:
+        raise ConfigError(
+            "pores whose stretch varies do not repeat", hint="leave out `periodic`, or give constant maps"
+        )
+    density = np.full(shape, float(np.sqrt(determinants(metric[:1])[0])))
+    blocks = StretchedBlocks(mask, True, density, metric=np.tile(metric[0], (*shape, 1)))
+    micro = scattered(context, wanted.recipe, None, 0, blocks)
+    if len(micro.graph.pores.centers) > WHOLE:
+        raise DesignError(
+            f"{len(micro.graph.pores.centers)} stretched pores that repeat are too many; allowed are {WHOLE}",
+            hint="lay fewer `cells`, or leave out `periodic`",
+        )
+    made = graded_radii(without_faces(micro, blocks, 0, edge, origin), grading, faces_differ=True)
+    if wanted.porosity is None:
+        return made
+    return at_porosity(context, made, None, wanted.porosity, wanted.resolution)
 
 
 @dataclass(frozen=True)

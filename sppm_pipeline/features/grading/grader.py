@@ -22,7 +22,8 @@ class Grader(Stage):
 
     of: str = option(
         help="name of the map; other stages look for porosity, spacing, scale, pore_radius, tunnel_radius, stretch, "
-        "direction_x, direction_y, direction_z and weight, any other name is data for formulas"
+        "direction_x, direction_y, direction_z, stretch_across, across_x, across_y, across_z and weight, any "
+        "other name is data for formulas"
     )
     measure: str | None = option(
         None,

@@ -271,7 +271,9 @@ class HexahedralCloud:
     def _scaled(self, micro: Microstructure, blocks: HexahedralBlocks) -> WarpedTiling:
         """The graph with kernels of the sizes of the cells around them, laid in blocks."""
         if not micro.additive:
-            raise ConfigError("walls can't fill a mesh of hexahedra", hint="end the recipe with `field.gaussian`")
+            raise ConfigError(
+                "walls and sheets can't fill a mesh of hexahedra", hint="end the recipe with `field.gaussian`"
+            )
         plain = without_faces(micro, blocks, 0, blocks.edge, blocks.origin)
         graph = laid_graph(plain, (False, False, False))
         points = graph.points * blocks.edge + np.array(blocks.origin)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,10 +22,16 @@ _AT_A_TIME = 1 << 18
 DIRECTION = ("direction_x", "direction_y", "direction_z")
 """Maps of the vector along which pores are stretched, of any length."""
 
+ACROSS = ("stretch_across", "across_x", "across_y", "across_z")
+"""Maps of a second stretch, along the part of a vector that is perpendicular to the direction."""
+
+_PARALLEL = 1e-6
+"""Sine of the angle between both vectors below which the second one has no direction of its own."""
+
 
 def check_round(grading: Grading, stage: str) -> None:
     """Check that no map asks for what only scattered cells have; `ConfigError` names it."""
-    for name in ("stretch", "spacing"):
+    for name in ("stretch", "stretch_across", "spacing"):
         if name in grading:
             raise ConfigError(
                 f"`{stage}` lays cells whose faces fit each other, and can't follow the map {name!r}",
@@ -35,11 +42,18 @@ def check_round(grading: Grading, stage: str) -> None:
 def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Metrics (n, 6) by the maps `stretch` and `direction_x`, `_y`, `_z` at points (n, 3) mm; None without them.
 
-    A component of the direction that has no map is 0. Where all are 0 nothing is stretched. `ConfigError` if there is
-    a stretch without a direction, or a direction without a stretch.
+    A component of the direction that has no map is 0. Where all are 0 nothing is stretched. A second stretch s2
+    (`ACROSS`) along a unit vector e perpendicular to the direction d makes it
+    ``I + (s^-2 - 1) d d^T + (s2^-2 - 1) e e^T``.
+    `ConfigError` if there is a stretch without a direction, or a direction without a stretch.
     """
     given = [name in grading for name in DIRECTION]
     if "stretch" not in grading:
+        if second := [name for name in ACROSS if name in grading]:
+            raise ConfigError(
+                f"there is a map {second[0]!r}, but no map `stretch`",
+                hint="give it and its direction by `grade` stages",
+            )
         if any(given):
             raise ConfigError("there is a direction, but no map `stretch`", hint="give it by a `grade` stage")
         return None
@@ -48,11 +62,27 @@ def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float
             "there is a map `stretch`, but no direction",
             hint="give one of the maps direction_x, direction_y, direction_z, or more, by `grade` stages",
         )
-    parts = [
-        grading[n].at(points) if there else np.zeros(len(points)) for n, there in zip(DIRECTION, given, strict=True)
-    ]
-    direction = np.stack(parts, axis=1)
-    return stretched_metric(grading["stretch"].at(points), direction)
+    direction = _vectors(grading, DIRECTION, points)
+    metric = stretched_metric(grading["stretch"].at(points), direction)
+    name, *components = ACROSS
+    given = [component in grading for component in components]
+    if name not in grading and not any(given):
+        return metric
+    if name not in grading or not any(given):
+        missing = f"`{name}`" if name not in grading else f"of {', '.join(components)}"
+        raise ConfigError(f"the second stretch lacks a map {missing}", hint="give it by a `grade` stage")
+    across = _vectors(grading, components, points)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    squared = (direction**2).sum(1, keepdims=True)
+    along = (across * direction).sum(1, keepdims=True)
+    across = across - np.divide(along, squared, out=np.zeros_like(along), where=squared > 0) * direction
+    across[np.linalg.norm(across, axis=1) <= _PARALLEL * length[:, 0]] = 0.0
+    return np.asarray(metric + stretched_metric(grading[name].at(points), across) - PLAIN)
+
+
+def _vectors(grading: Grading, names: Sequence[str], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (n, 3) of three maps at points, 0 where there is no map."""
+    return np.stack([grading[n].at(points) if n in grading else np.zeros(len(points)) for n in names], axis=1)
 
 
 def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
@@ -74,7 +104,9 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
     direction. Unless every face pattern is in one place, too (`faces_differ`), those keep their sizes. `ConfigError`
     if walls are to be stretched.
     """
-    maps = [name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION) if name in grading]
+    maps = [
+        name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION, *ACROSS) if name in grading
+    ]
     if not maps or tiling.edge is None:
         return tiling
     grading, edge = grading.in_cells(tiling.edge, tiling.origin), tiling.edge
@@ -112,8 +144,10 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
                 metric[known] = found
         return factor, None if metric is None else frozen(metric)
 
-    if not micro.additive and "stretch" in grading:
-        raise ConfigError("walls can't be stretched", hint="stretch structures that end with `field.gaussian`")
+    if not micro.follows_metric and "stretch" in grading:
+        raise ConfigError(
+            "walls can't be stretched", hint="stretch structures that end with `field.gaussian` or `field.sheet`"
+        )
     # maps give radii in mm: they are relative to the median kernel, about which those of the recipe may vary
     profile = TUNNEL_PROFILES[kernels.profile]
     usual = PORE_PROFILE.radius(float(np.median(kernels.omega)), micro.level) if len(kernels.omega) else 1.0

@@ -40,6 +40,10 @@ QUANTITIES = {
     "direction_x": Quantity("", -_ANY, _ANY, False, "x of the vector along which pores are stretched"),
     "direction_y": Quantity("", -_ANY, _ANY, False, "y of the vector along which pores are stretched"),
     "direction_z": Quantity("", -_ANY, _ANY, False, "z of the vector along which pores are stretched"),
+    "stretch_across": Quantity("", 0.0, _ANY, False, "length of pores over their width, along a second direction"),
+    "across_x": Quantity("", -_ANY, _ANY, False, "x of the second vector along which pores are stretched"),
+    "across_y": Quantity("", -_ANY, _ANY, False, "y of the second vector along which pores are stretched"),
+    "across_z": Quantity("", -_ANY, _ANY, False, "z of the second vector along which pores are stretched"),
     "weight": Quantity("", 0.0, 1.0, True, "share of the second of two sets or fields"),
 }
 """Names that stages look for; a map of any other name is data for formulas."""

@@ -179,7 +179,13 @@ def of_scattered_boxes(context: Context, recipe: Recipe, resolution: int) -> Cal
     blocks = Blocks(np.ones((TRIAL_BLOCKS,) * 3, bool), True)
 
     def porosity(n: int, attempt: int) -> float:
-        tiling = without_faces(scattered(context, recipe, n, attempt, blocks), blocks, 0, None, (0.0, 0.0, 0.0))
+        micro = scattered(context, recipe, n, attempt, blocks)
+        if not micro.counted:
+            raise ConfigError(
+                f"the porosity of what the recipe {recipe.name!r} makes does not follow from its number of pores",
+                hint="leave it to `tune.local_porosity` after the tiling, with the map made in between",
+            )
+        tiling = without_faces(micro, blocks, 0, None, (0.0, 0.0, 0.0))
         return float((tiling.solid(resolution, context.threads) == 0).mean())
 
     return porosity

@@ -38,7 +38,7 @@ def candidate_graph(
     components are joined as in Boruvka's algorithm, twice: the second time by edges that avoid the ends of the first,
     so that a bounded degree or a second path is not ruled out.
 
-    Distances are measured in the mean of the metrics (n, 6) of the pores, if given; only on axes that do not repeat.
+    Distances are measured in the mean of the metrics (n, 6) of the pores, if given.
     Returns edges and shifts as `spanning_subgraph` does.
     """
     points = as_points(points)
@@ -87,8 +87,8 @@ def _keys_near(
     # the plain ball that is sure to hold the k nearest in the metric, at the density of the whole
     wide = int(min(np.ceil(k * float((longest**3 * np.sqrt(determinants(metric))).max())), max(n - 1, 1)))
     keys = nearest_keys(sorted_into_buckets(inside, period), np.arange(n), wide)
-    edges, _ = edges_of_keys(np.maximum(keys, 0).ravel(), n)
-    steps = inside[edges[:, 1]] - inside[edges[:, 0]]
+    edges, turns = edges_of_keys(np.maximum(keys, 0).ravel(), n)
+    steps = inside[edges[:, 1]] + turns * period - inside[edges[:, 0]]
     length = lengths_in((metric[edges[:, 0]] + metric[edges[:, 1]]) / 2, steps).reshape(keys.shape)
     order = np.argsort(np.where(keys < 0, np.inf, length), axis=1, kind="stable")[:, :k]
     return np.take_along_axis(keys, order, axis=1)

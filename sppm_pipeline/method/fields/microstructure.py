@@ -73,6 +73,10 @@ class Microstructure(KernelSum):
     """
 
     reported: ClassVar[tuple[str, ...]] = (*PoreSet.reported, *TunnelGraph.reported, "level")
+    follows_metric: ClassVar[bool] = True
+    """Whether kernels may measure distances in metrics of their own."""
+    counted: ClassVar[bool] = True
+    """Whether more pores in a cell change its porosity."""
 
     cell: Cell
     graph: TunnelGraph

@@ -105,9 +105,9 @@ def throw_blocks(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Throw `quotas` (nx, ny, nz) pores into the blocks of a lattice; the result does not depend on the threads.
 
-    Two pores keep `spacing` block edges, at most 1; with a `density` > 0 at the nodes of `graded_blocks`, which is not
-    for a lattice that repeats, ``spacing density^(-1/3)``. A `metric` (..., 6) at the nodes (`services.metric`) needs
-    a density. Pores `before` have the form of the result: centers (n, 3), relative to the low corner of the block
+    Two pores keep `spacing` block edges, at most 1; with a `density` > 0 at the nodes of `graded_blocks`, which is one
+    number for a lattice that repeats, ``spacing density^(-1/3)``. A `metric` (..., 6) at the nodes (`services.metric`)
+    needs a density. Pores `before` have the form of the result: centers (n, 3), relative to the low corner of the block
     in block edges, blocks in C order of (x, y, z); and where those of each block begin, (blocks + 1,). `seed` is taken
     modulo 2^64.
 
@@ -119,8 +119,8 @@ def throw_blocks(
     # darts follow the first of these and spacings the second, both powers -1/3 of densities
     of_darts = of_spacings = of_metrics = None
     if density is not None:
-        if periodic:
-            raise ValueError("a lattice that repeats takes no density")
+        if periodic and np.ptp(density) > 0:
+            raise ValueError("a lattice that repeats takes no density that varies")
         of_darts = of_spacings = np.ascontiguousarray(density, np.float64) ** (-1 / 3)
         widest, closest = spacing * float(of_darts.max()), spacing * float(of_darts.min())
         if metric is not None:

@@ -51,7 +51,8 @@ class ScatteredTiling(Stage):
     curve that trial boxes give, and pores are then added and taken away at random where a block is found to be off, in
     rounds. Sizes at a scale s are s times those of the recipe. The recipe's samplers then need `total`. A map of
     `spacing` changes the distance of pores alone. With maps of `stretch` s and of a direction pores are s times as long
-    along it as across, where their radii are those of the recipe, and 1/s as many.
+    along it as across, where their radii are those of the recipe, and 1/s as many; `stretch_across` is a second
+    stretch, perpendicular to the first. A box of pores that are stretched alike everywhere may be `periodic`.
     """
 
     name: ClassVar[str] = "tile.scattered"

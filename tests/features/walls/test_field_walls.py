@@ -262,3 +262,45 @@ def test_sizes_of_the_design_are_told(tuned):
     context = PlainContext(1)
     CheckSizes(resolution=24, printable=Length(0.35, "mm")).run(context, field)
     assert [text for text in context.warnings if "narrowest tunnel measures 0.3 mm" in text]
+
+
+@pytest.mark.parametrize("struts", [0.4, 1.0])
+def test_struts_are_the_weighted_mean_of_walls_and_kernels(struts):
+    from sppm_pipeline.features.walls.walls_field import KERNEL
+
+    pores = PoreSet.from_array(np.random.default_rng(2).random((20, 3)))
+    graph = TunnelGraph.from_arrays(pores, np.array([[0, 1]]))
+    field, _ = made(graph, struts=struts, rounding=Length(0.0), tunnel_radius=Length(1e-3))
+    length, rng = 20 ** (-1 / 3), np.random.default_rng(3)
+    shifts = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
+    images = (pores.centers[:, None] + shifts).reshape(-1, 3)
+    for place in rng.random((30, 3)):
+        squared = ((images - place) ** 2).sum(1)
+        first = squared.argmin()
+        apart = 2 * np.linalg.norm(images - images[first], axis=1)
+        others = np.arange(len(images)) != first
+        wall = ((squared - squared[first])[others] / apart[others]).min()
+        nearest = np.sqrt(max(-np.log(np.exp(-KERNEL / length**2 * squared).sum()), 0) * length**2 / KERNEL)
+        expected = (1 - struts) * wall + struts * (length - nearest) - field.level
+        value = field.sample(Grid(tuple(place), (1.0,) * 3, (1, 1, 1)))[0, 0, 0]
+        # far from tunnels and deep in the solid the field stays at the depth that is kept of tunnels
+        assert value == pytest.approx(max(expected, -0.2 * length), abs=2e-4)
+
+
+def test_the_share_of_struts_makes_softer_structures_of_one_density():
+    found = []
+    for share in (0.0, 0.5, 1.0):
+        field = TunePorosity(target=0.65, resolution=32, tolerance=0.01).run(PlainContext(3), recipe(struts=share))
+        assert (field.thinnest_wall is None) == (share > 0)
+        found.append(HomogenizeVoxel(resolution=24).run(PlainContext(0), field).summary()["isotropic"]["E"])
+    assert found[0] > 1.05 * found[1] > 1.2 * found[2]
+
+
+def test_struts_fit_together_across_scattered_cells():
+    tiling = ScatteredTiling(cells=(2, 2, 2), periodic=True, porosity=0.7).run(
+        PlainContext(4), recipe_of(DartThrowing(total=30), MinimumSpanningTree(), WallsField(struts=0.5)), None
+    )
+    whole = tiling.sample(Grid((0.0, 0.0, 0.0), (0.05,) * 3, (40, 40, 40)))
+    moved = tiling.sample(Grid((2.0, -2.0, 0.5), (0.05,) * 3, (40, 40, 10)))
+    assert moved == pytest.approx(whole[:, :, 10:20], abs=1e-5)
+    assert (whole < 0).mean() == pytest.approx(0.3, abs=0.01)

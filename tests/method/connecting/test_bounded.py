@@ -308,3 +308,26 @@ def test_regions_of_stretched_pores_are_nearly_as_short_as_those_of_plain_ones(m
         assert (degree.min(), degree.max() <= 5) == (3, True)
         lengths.append(edge_lengths(points, edges, shifts, measured).sum())
     assert lengths[1] == pytest.approx(lengths[0], rel=0.02)
+
+
+def test_neighbors_in_a_metric_are_found_across_the_border():
+    from sppm_pipeline.method.connecting.candidates import candidate_graph
+    from sppm_pipeline.services.metric import matrices
+
+    rng = np.random.default_rng(5)
+    points, metric = rng.random((60, 3)), stretched_metric(np.full(60, 1.7), np.tile([0.3, 1.0, 0.5], (60, 1)))
+    edges, shifts = candidate_graph(points, 4, periodic=True, metric=metric)
+    found = {(i, j, *s) for (i, j), s in zip(edges.tolist(), shifts.tolist(), strict=True)}
+    turns = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    missed = 0
+    for i in range(60):
+        steps = points[:, None] + turns - points[i]
+        lengths = np.einsum("ijk,kl,ijl->ij", steps, matrices(metric[:1])[0], steps)
+        lengths[i] = np.inf
+        for nearest in np.argsort(lengths, axis=None)[:4]:
+            j, turn = divmod(int(nearest), 27)
+            key = (i, j, *turns[turn].tolist()) if i < j else (j, i, *(-turns[turn]).tolist())
+            missed += key not in found
+    # candidates are as many of the plainly nearest as the mean density asks for
+    assert missed <= 5
+    assert sum(any(s) for s in shifts.tolist()) > 20

@@ -629,3 +629,80 @@ def test_anybody_s_maps_are_followed_unless_they_change_nothing():
         stage = ScatteredTiling(cells=(2, 1, 1), rounds=rounds)
         tiling = stage.run(PlainContext(1), recipe, None, Elsewhere())
         assert (np.bincount(tiling.tileset.micro.graph.pores.piece) == pores).all()
+
+
+def constant(name, value):
+    return ramp(name, value, value, 1)
+
+
+def test_two_stretches_and_a_rotation_are_any_affine_shape():
+    from sppm_pipeline.features.grading.map_sizes import metric_at
+    from sppm_pipeline.services.mesh.rotation import rotation
+
+    axes = rotation((25.0, -40.0, 70.0))
+    d, e = axes[:, 2], axes[:, 1]
+    # of the second vector only the part across the first one counts
+    second = 3 * e + 0.7 * d
+    laws = [constant("stretch", 1.5), constant("stretch_across", 0.8)]
+    laws += [constant(f"direction_{axis}", 2 * value) for axis, value in zip("xyz", d, strict=True)]
+    laws += [constant(f"across_{axis}", value) for axis, value in zip("xyz", second, strict=True)]
+    expected = axes @ np.diag([1, 0.8**-2, 1.5**-2]) @ axes.T
+    tiling, _ = laid(*laws, cells=(2, 2, 2))
+    pieces = tiling.tileset.micro.pieces
+    for metric in (pieces.kernels.pore_metric, pieces.kernels.tunnel_metric):
+        assert np.allclose(matrices(metric), expected)
+    pores = in_lattice(tiling)
+    assert len(pores) == pytest.approx(64 * 30 / (1.5 * 0.8), abs=1)
+    # lengths in the metric are those of the structure before it was stretched
+    plain = pores @ axes / [1, 0.8, 1.5]
+    apart, _ = cKDTree(plain).query(plain, 2)
+    assert 1 - 1e-9 <= apart[:, 1].min() / spacing_at_share(30, 0.5) < 1.02
+    parallel = [constant(f"across_{axis}", value) for axis, value in zip("xyz", d, strict=True)]
+
+    def metrics(*laws):
+        return metric_at(Grading(laws).in_cells(4.0, (0.0, 0.0, 0.0)), np.zeros((2, 3)))
+
+    assert np.allclose(metrics(*laws[:5], *parallel), metrics(laws[0], *laws[2:5]))
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("stretch_across",), "no map `stretch`"),
+        (("stretch", "direction_x", "stretch_across"), "lacks a map of across_x"),
+        (("stretch", "direction_x", "across_x"), "lacks a map `stretch_across`"),
+    ],
+)
+def test_a_second_stretch_needs_a_first_and_a_direction(names, words):
+    with pytest.raises(ConfigError, match=words):
+        laid(*(constant(name, 1.2) for name in names), cells=(2, 2, 2))
+
+
+def test_a_box_of_evenly_stretched_pores_repeats():
+    laws = [constant("stretch", 1.5), constant("direction_x", 1.0), constant("direction_z", 1.0)]
+    tiling, _ = laid(*laws, constant("stretch_across", 1.2), constant("across_y", 1.0), cells=(2, 2, 2), periodic=True,
+                     porosity=0.5)  # fmt: skip
+    micro, pores = tiling.tileset.micro, in_lattice(tiling)
+    metric = matrices(micro.pieces.kernels.pore_metric[:1])[0]
+    assert len(pores) == pytest.approx(8 * 30 / (1.5 * 1.2), abs=1)
+    images = (pores[:, None] + 2 * np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)).reshape(-1, 3)
+    steps = pores[:, None] - images
+    lengths = np.sqrt(np.einsum("ijk,kl,ijl->ij", steps, metric, steps))
+    assert 1 - 1e-9 <= np.sort(lengths, axis=1)[:, 1].min() / spacing_at_share(30, 0.5) < 1.05
+    # tunnels lead to near pores in the metric, across the border of the box as well
+    first, second = micro.graph.segments()
+    tunnels = np.sqrt(np.einsum("ik,kl,il->i", second - first, metric, second - first))
+    assert tunnels.max() < 2.5 * spacing_at_share(30, 0.5)
+    grid = Grid((0.05, 0.05, 0.05), (0.1,) * 3, (20, 20, 20))
+    values = tiling.sample(grid)
+    assert np.allclose(values, tiling.sample(grid._replace(origin=(2.05, -1.95, 0.05))), atol=1e-5)
+    assert (values >= 0).mean() == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [(ramp("stretch", 1.2, 1.5, 2), "varies do not repeat"), (ramp("scale", 1, 1, 1), "'scale' do not")],
+)
+def test_boxes_that_follow_varying_maps_do_not_repeat(law, words):
+    with pytest.raises(ConfigError, match=words):
+        laid(law, *([constant("direction_x", 1.0)] if law.name == "stretch" else []), cells=(2, 2, 2), periodic=True)

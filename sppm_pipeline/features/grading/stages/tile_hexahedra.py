@@ -28,7 +28,7 @@ from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
 
-NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch")
+NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch", "stretch_across")
 """Maps that other stages follow which scatter pores."""
 
 

@@ -21,7 +21,7 @@ from sppm_pipeline import (
     option,
     options,
 )
-from sppm_pipeline.features.walls.walls_field import WalledMicrostructure
+from sppm_pipeline.features.walls.walls_field import KERNEL, WalledMicrostructure
 from sppm_pipeline.method.fields.microstructure import pieces_from_graph
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
 from sppm_pipeline.nouns.size import Geometry
@@ -35,6 +35,12 @@ walls of a density of 0.3 are 3 to 4 % softer than those with this rounding, ext
 MAX_LENGTH = 4.0
 """Cell sizes that no length of a wall exceeds."""
 
+STRUTS = 0.5
+"""Level of struts alone in mean distances of pores, where nothing is tuned."""
+
+PORES_NEAR = 12.0
+"""Kernels of pores that are felt at a point."""
+
 FACES, ROUNDED = 20.0, 2.0
 """Work for a sample, in kernels: a Voronoi cell has some 15 faces, and there are the tunnels; fillets multiply it."""
 
@@ -46,6 +52,10 @@ class WallsField(Stage):
     Solid is what lies within half a thickness of the faces of the pores' Voronoi cells and in no tunnel. A target
     porosity (`tune.porosity`, a tile set's or an assembly's `porosity`) is reached by the thickness. An extension of
     the paper, for any of its pores and tunnels.
+
+    With a share of `struts` the level set is a mean of that of the walls and of that of the paper's pores, weighted by
+    it: the solid leaves the middle of the walls and gathers along their edges, which makes the structure softer at the
+    same density, and Poisson's ratio smaller. What `thickness` then says is that of walls without struts.
 
     Where a cell is repeated, its void opens into the next one through tunnels alone. A spanning tree of pores that do
     not lie on faces has none that lead there, which is warned about.
@@ -68,12 +78,16 @@ class WallsField(Stage):
         "0.07 mean distances of pores if omitted", unit="cell size", minimum=0, maximum=1,
     )  # fmt: skip
 
+    struts: float = option(
+        0.0, help="share of the paper's pores in the level set: 0 for walls, 1 for struts", minimum=0, maximum=1
+    )
+
     def estimate(self, palette: Palette, graph: Size) -> Size:
         cell = graph.cell
         length, half, radius, rounding = self._sizes(cell.cell, cell.pores)
         porosity, surface = expected_walls(length, half, radius, cell.tunnels)
         # every sample is compared with the faces of a Voronoi cell; no patches are shared, whatever repeats
-        work = FACES * ROUNDED if rounding else FACES
+        work = (FACES * ROUNDED if rounding else FACES) + (PORES_NEAR if self.struts else 0.0)
         made = Geometry(edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=work, reach=math.inf)
         return Size(
             pores=cell.interiors * cell.pores, tunnels=cell.interiors * cell.tunnels,
@@ -93,10 +107,10 @@ class WallsField(Stage):
             thickness=2 * half, tunnel_radius=radius, thinnest_tunnel=float(radii.min(initial=radius)),
             rounding=rounding, mean_pore_distance=length, missed=missed,
         )  # fmt: skip
-        omega = np.full(len(pores.centers), length**-2)
-        return WalledMicrostructure(
-            pores.cell, graph, pieces_from_graph(graph, omega, 1 / radii, "linear"), half, rounding=rounding
-        )
+        omega = np.full(len(pores.centers), (KERNEL if self.struts else 1.0) * length**-2)
+        pieces = pieces_from_graph(graph, omega, 1 / radii, "linear")
+        level = (1 - self.struts) * half + self.struts * STRUTS * length
+        return WalledMicrostructure(pores.cell, graph, pieces, level, rounding=rounding, struts=self.struts)
 
     def _sizes(self, cell: Cell, pores: float) -> tuple[float, float, float, float]:
         """Mean distance of pores, half a thickness, radius of the tunnels, rounding; cell sizes."""
