@@ -17,12 +17,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.crushing.numerics.material import ALPHA, DISSIPATED, LANES, PLASTIC, STORED, YIELD, stresses
+from sppm_pipeline.features.crushing.numerics.material import (
+    ALPHA,
+    DISSIPATED,
+    LANES,
+    PLASTIC,
+    STORED,
+    YIELD,
+    stresses,
+    yield_stresses,
+)
 from sppm_pipeline.numerics import inline_jit, jit
 
 #: Rows of scratch: 24 of corners or modes, 9 deformation gradient, 10 state, 9 stress, yield stress, hardening,
-#: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain.
-ROWS = 71
+#: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain,
+#: bound of the largest principal stress.
+ROWS = 72
 STATE = 10
 """Numbers kept of an element: 6 of the plastic metric, equivalent plastic strain, energy of bending were it elastic,
 the share of its stiffness, and the largest stiffness of the element."""
@@ -131,11 +141,72 @@ def _push(s: NDArray[Any], mu: Any) -> None:
         s[e + _R[23]] = zx * dx + zy * dy + zz * dz
 
 
+@inline_jit
+def _bound(s: NDArray[Any]) -> None:
+    """Upper bound of the largest principal Kirchhoff stress."""
+    for e in range(_LANES):
+        xx = s[e + _R[43]] * s[e + _R[24]] + s[e + _R[44]] * s[e + _R[25]] + s[e + _R[45]] * s[e + _R[26]]
+        yy = s[e + _R[46]] * s[e + _R[27]] + s[e + _R[47]] * s[e + _R[28]] + s[e + _R[48]] * s[e + _R[29]]
+        zz = s[e + _R[49]] * s[e + _R[30]] + s[e + _R[50]] * s[e + _R[31]] + s[e + _R[51]] * s[e + _R[32]]
+        xy = s[e + _R[43]] * s[e + _R[27]] + s[e + _R[44]] * s[e + _R[28]] + s[e + _R[45]] * s[e + _R[29]]
+        xz = s[e + _R[43]] * s[e + _R[30]] + s[e + _R[44]] * s[e + _R[31]] + s[e + _R[45]] * s[e + _R[32]]
+        yz = s[e + _R[46]] * s[e + _R[30]] + s[e + _R[47]] * s[e + _R[31]] + s[e + _R[48]] * s[e + _R[32]]
+        mean = (xx + yy + zz) * (1 / 3)
+        xx, yy, zz = xx - mean, yy - mean, zz - mean
+        square = xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)
+        s[e + _R[71]] = mean + np.sqrt((2 / 3) * square)
+
+
+@jit
+def _principal(s: NDArray[Any], e: Any) -> Any:
+    """Largest principal Kirchhoff stress of an element."""
+    xx = s[e + _R[43]] * s[e + _R[24]] + s[e + _R[44]] * s[e + _R[25]] + s[e + _R[45]] * s[e + _R[26]]
+    yy = s[e + _R[46]] * s[e + _R[27]] + s[e + _R[47]] * s[e + _R[28]] + s[e + _R[48]] * s[e + _R[29]]
+    zz = s[e + _R[49]] * s[e + _R[30]] + s[e + _R[50]] * s[e + _R[31]] + s[e + _R[51]] * s[e + _R[32]]
+    xy = s[e + _R[43]] * s[e + _R[27]] + s[e + _R[44]] * s[e + _R[28]] + s[e + _R[45]] * s[e + _R[29]]
+    xz = s[e + _R[43]] * s[e + _R[30]] + s[e + _R[44]] * s[e + _R[31]] + s[e + _R[45]] * s[e + _R[32]]
+    yz = s[e + _R[46]] * s[e + _R[30]] + s[e + _R[47]] * s[e + _R[31]] + s[e + _R[48]] * s[e + _R[32]]
+    mean = (xx + yy + zz) / 3
+    xx, yy, zz = xx - mean, yy - mean, zz - mean
+    second = 0.5 * (xx * xx + yy * yy + zz * zz) + xy * xy + xz * xz + yz * yz
+    third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    root = np.sqrt(second / 3) + 1e-300
+    angle = np.arccos(min(max(third / (2 * root * root * root), -1.0), 1.0)) / 3
+    return mean + 2 * root * np.cos(angle)
+
+
+@inline_jit
+def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, decay: float) -> None:
+    """Weaken cracked elements, by isotropic damage whose effective stress obeys the Rankine criterion.
+
+    `own` (2, LANES) has the largest principal effective stress so far, beyond the strength, and the damage.
+    """
+    _bound(s)
+    for e in range(_LANES):
+        reached = max(own[0, e], strength)
+        if s[e + _R[71]] > reached:
+            now = _principal(s, e)
+            if now > reached:
+                damage = 1 - strength / now * np.exp(-decay * (now - strength))
+                # elastic energies of the mean strain and of bending that this damage takes
+                taken = s[e + _R[STORED]] + s[e + _R[_SHARE]] * s[e + _R[56]]
+                s[e + _R[DISSIPATED]] += (damage - own[1, e]) * taken
+                own[0, e], own[1, e] = now, damage
+        left = 1 - own[1, e]
+        if left < 1:
+            s[e + _R[STORED]] *= left
+            s[e + _R[56]] *= left
+            for row in range(9):
+                s[e + _R[43] + np.uint64(row) * _LANES] *= left
+            for row in range(12):
+                s[e + _R[58] + np.uint64(row) * _LANES] *= left
+
+
 @jit
 def forces(
     x: NDArray[Any], corners: NDArray[Any], phases: NDArray[Any], slabs: NDArray[Any], first: int, last: int,
     table: NDArray[Any], state: NDArray[Any], surface: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any],
-    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any],
+    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any], cracking: NDArray[Any], cracks: NDArray[Any],
 ) -> None:  # fmt: skip
     """Add the forces of every second slab of elements to those of the nodes, and advance the elements' state.
 
@@ -145,8 +216,11 @@ def forces(
     `slabs` (slabs + 1,) where the blocks of each begin. `state` (blocks, STATE, LANES) is advanced in place. `surface`
     (blocks, LANES) numbers voxels at the surface, or is -1; of these `pushed` says which are in contact, and `push`
     (voxels, 8, 3) has the forces on their corners. `s` (ROWS * LANES,) is scratch. Of `sums` (slabs, SUMS) the
-    energies stored are set; what was dissipated, and the work of bending, are added to.
+    energies stored are set; what was dissipated, and the work of bending, are added to. `cracking` is
+    `material.cracking`, `cracks` (blocks, 2, LANES) the largest stress and the damage of each element, advanced in
+    place; both are empty if nothing cracks.
     """
+    cracks_at_all = len(cracking) > 0
     for slab in range(first, last, 2):
         stored, bent, dissipated, bending = 0.0, 0.0, 0.0, 0.0
         for block in range(slabs[slab], slabs[slab + 1]):
@@ -171,7 +245,18 @@ def forces(
             phase = phases[block]
             _transform(s)
             _bend(s, table[phase, 0], table[phase, 1])
+            yield_stresses(s, table, phase)
+            if cracks_at_all:
+                # what has cracked flows no more: else plastic flow would hold its effective stress
+                for e in range(LANES):
+                    if cracks[block, 1, e] > 0:
+                        s[YIELD * LANES + e] *= 1e30
             stresses(s, table, phase)
+            if cracks_at_all:
+                for e in range(LANES):
+                    if cracks[block, 1, e] > 0:
+                        s[YIELD * LANES + e] *= 1e-30
+                _crack(s, cracks[block], cracking[phase, 0], cracking[phase, 1])
             _push(s, table[phase, 1])
             _transform(s)
             for row in range(STATE):

@@ -11,8 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.crushing.numerics import contact, element, plates
-from sppm_pipeline.features.crushing.numerics.body import Body, wave_speed
-from sppm_pipeline.features.crushing.numerics.material import ALPHA, LANES, PLASTIC, RATIO, Material, constants
+from sppm_pipeline.features.crushing.numerics.body import Body, surface_of, wave_speed
+from sppm_pipeline.features.crushing.numerics.material import (
+    ALPHA,
+    LANES,
+    PLASTIC,
+    RATIO,
+    RELEASED,
+    Material,
+    constants,
+    cracking,
+)
 from sppm_pipeline.features.crushing.numerics.selfcontact import SelfContact
 
 COURANT, STABLE = 0.6, 0.8
@@ -43,8 +52,12 @@ MISSING = 0.01
 energy changed by no more than this: a heuristic, not measured. It is half of what a run may miss in all before a
 warning, and there are up to 800 records."""
 
-ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
+VOLUMES = (0.05, 5.0)
+"""Range of the volume of a voxel that has begun to fail, over that at rest, beyond which it is released."""
 
+ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
+FAILED = "failed"
+"""One energy more where voxels fail: what they stored when they were released, and the motion of nodes that left."""
 
 _ARRAYS = ("v", "f", "state", "mass", "heavier", "sums", "node_sums")
 
@@ -66,14 +79,15 @@ class Load(NamedTuple):
     plates: float = 0.0  # coefficient of friction of the plates; negative if the body sticks to them
     confined: bool = False  # rollers hold the sides
     friction: float = 0.2  # coefficient of friction where the body touches itself
+    rubble: bool = True  # nodes of released voxels stay as points that contact pushes; else they leave
 
 
 class History(NamedTuple):
     """Records (n,) of a run, in units of voxel edges and of the first material.
 
-    Energies, by the names in `ENERGIES`: of the elements, stored in their mean strain, stored in bending and
-    dissipated; of contacts, stored and lost; kinetic; lost to damping and at the plates; given to the body by mass
-    that was added.
+    Energies, by the names in `ENERGIES`, and `FAILED` if voxels may fail: of the elements, stored in their mean strain,
+    stored in bending and dissipated; of contacts, stored and lost; kinetic; lost to damping and at the plates; given to
+    the body by mass that was added.
     """
 
     strain: NDArray[np.float64]
@@ -91,7 +105,11 @@ class March:
         self._threads = max(1, threads)
         self._pool = ThreadPoolExecutor(self._threads) if threads > 1 else None
         nz = body.shape[2]
-        self._table = constants(materials)
+        self._table, self._cracking = constants(materials), cracking(materials)
+        self._failure = np.array([m.failure_strain for m in materials])
+        self._softening = np.array([m.yield_stress[-1][0] if m.fails else math.inf for m in materials])
+        self.fails = any(m.fails or m.cracks for m in materials)
+        self.energies = (*ENERGIES, FAILED) if self.fails else ENERGIES
         self._modulus = np.array([m.wave_modulus for m in materials]) / materials[0].wave_modulus
         # at rest the volume is what is stiffest
         stiffest = max((3 * m.lame[0] + 2 * m.lame[1]) / m.wave_modulus for m in materials)
@@ -101,11 +119,9 @@ class March:
         self._strains = _strains(load, self.dt / nz)
         self.steps = len(self._strains) - 1
         self._recorded = 0.0
-        self._corners = body.blocked(body.corners, -1)
         self._phases = body.phases[body.lanes[:, 0]].astype(np.int32)
-        number = np.full(len(body.corners), -1, np.int32)
-        number[body.surface] = np.arange(len(body.surface), dtype=np.int32)
-        self._surface = body.blocked(number, -1)
+        self._live = body
+        self._arrange()
         self._density = self._modulus[body.phases]
         self._held = np.zeros(len(body.nodes), np.uint8)
         if load.confined:
@@ -121,6 +137,11 @@ class March:
         self._state = np.zeros((len(body.lanes), element.STATE, LANES))
         self._state[:, :3] = 1
         self._state[:, 8 : element.STATE] = 1
+        self._cracks = np.zeros((len(body.lanes) if len(self._cracking) else 0, 2, LANES))
+        self._released = np.zeros(len(body.corners), bool)
+        self._last_alpha = np.zeros(len(body.corners))
+        self._ghosts = np.zeros(0, np.int64)
+        self._bare, self._failed = False, 0.0
         self._mass0 = self._node_masses(self._density)
         self._mass = self._mass0.copy()
         self._heavier = np.ones(len(body.corners))
@@ -130,16 +151,34 @@ class March:
         self._work = 0.0
         self._from_mass = 0.0
         k = min(contact.STIFFNESS, contact.STABLE / (wave_speed(materials) * self.dt) ** 2)
-        stiffness = k * (self._table[0, 0] + 2 * self._table[0, 1]) * self._modulus
-        self._contact = SelfContact(body, stiffness, self._modulus, load.friction, self.dt, self._share)
+        self._stiffness = k * (self._table[0, 0] + 2 * self._table[0, 1]) * self._modulus
+        self._contact = self._skin()
         self.relist()
         self._given = self._kinetic()
         self._rows = [self._balance()]
 
+    def _arrange(self) -> None:
+        """Nodes of the elements in their lanes, and their numbers at the surface."""
+        live = self._live
+        self._corners = live.blocked(live.corners, -1)
+        number = np.full(len(live.corners), -1, np.int32)
+        number[live.surface] = np.arange(len(live.surface), dtype=np.int32)
+        self._surface = live.blocked(number, -1)
+
+    def _skin(self) -> SelfContact:
+        """Contact of the surface as it is now."""
+        return SelfContact(self._live, self._stiffness, self._modulus, self.load.friction, self.dt, self._share)
+
     def relist(self) -> None:
         """Search the surfaces that may come to touch."""
+        stored, bare = self._contact.stored, self._bare
+        if bare:
+            self._expose()
         self._listed, self._listed_height = self.x.copy(), self._height(self.step)
         self._contact.search(self.x, self._v)
+        if bare:
+            # what contacts of a new surface store was not in the balance
+            self._failed += stored - self._contact.stored
 
     # -- the step
 
@@ -200,10 +239,14 @@ class March:
                 element.forces(
                     self.x, self._corners, self._phases, self.body.slabs, 2 * a + odd, min(2 * b + odd, slabs),
                     self._table, self._state, self._surface, self._contact.pushed, self._contact.push, scratch, self._f,
-                    self._sums,
+                    self._sums, self._cracking, self._cracks,
                 )  # fmt: skip
 
             self._share((slabs + 1 - odd) // 2, part)
+        if len(self._ghosts):
+            # surfaces of released voxels that nothing has replaced yet
+            at = self._ghosts[self._contact.pushed[self._ghosts] > 0]
+            np.add.at(self._f, self.body.corners[self._live.surface[at]], self._contact.push[at])
 
     def _node_masses(self, masses: NDArray[np.float64]) -> NDArray[np.float64]:
         shares = np.repeat(masses / 8, 8)
@@ -212,6 +255,8 @@ class March:
     def _rescale(self) -> None:
         """Give crushed elements, which are stiffer, so much more mass that the step stays stable."""
         ratios = self._of_elements(RATIO)
+        if self.fails and self._release(ratios):
+            ratios[self._released] = 0.5
         if not (ratios > 0).all():
             raise Failed(self.strain, "a voxel turned inside out")
         needed = self._needed * ratios
@@ -224,10 +269,119 @@ class March:
         self._from_mass += self._kinetic() - before
 
     def _of_elements(self, row: int) -> NDArray[np.float64]:
-        values = np.empty(len(self.body.corners))
-        filled = self.body.lanes >= 0
-        values[self.body.lanes[filled]] = self._state[:, row - PLASTIC][filled]
-        return values
+        """Of released ones what is larger than 0."""
+        return self._unblocked(self._state[:, row - PLASTIC], 0.5)
+
+    def _unblocked(self, values: NDArray[np.float64], empty: float) -> NDArray[np.float64]:
+        found = np.full(len(self.body.corners), empty)
+        filled = self._live.lanes >= 0
+        found[self._live.lanes[filled]] = values[filled]
+        return found
+
+    # -- failure
+
+    def _release(self, ratios: NDArray[np.float64]) -> bool:
+        """Take the stress off voxels that have failed; their mass stays with their nodes."""
+        alpha, phases = self._of_elements(ALPHA), self.body.phases
+        alpha[self._released] = 0
+        failed = alpha >= self._failure[phases]
+        # past half of the softening, by plastic strain
+        failing = 2 * alpha > (self._softening + self._failure)[phases]
+        inside_out = (alpha > self._softening[phases]) & ~(ratios > 0)
+        if len(self._cracks):
+            damage, reached = self._unblocked(self._cracks[:, 1], 0.0), self._unblocked(self._cracks[:, 0], 0.0)
+            failing |= damage > 0.5
+            inside_out |= (damage > 0) & ~(ratios > 0)
+            failed |= (damage > 0) & ((1 - damage) * reached <= RELEASED * self._cracking[phases, 0])
+        failed |= inside_out
+        # those about to fail may be torn or crushed before
+        doubtful = np.flatnonzero(failing & ~failed)
+        if len(doubtful):
+            corners = self.x[self.body.corners[doubtful]]
+            high = np.array([[a >> c & 1 ^ 1 for c in range(3)] for a in range(8)], float)
+            gradients = np.einsum("nac,ab->ncb", corners, (2 * high - 1) / 4)
+            volumes = np.linalg.det(gradients)
+            failed[doubtful[~((volumes > VOLUMES[0]) & (volumes < VOLUMES[1]))]] = True
+        failed &= ~self._released
+        if not failed.any():
+            return bool(self._released.any())
+        self._last_alpha[failed] = alpha[failed]
+        elements = np.flatnonzero(failed)
+        stored, bent = self._unloaded(elements)
+        # off the sums of this step, which the next one sets
+        self._sums[0] -= stored, bent, 0.0, bent
+        self._failed += stored + bent
+        self._compact(failed)
+        return True
+
+    def _unloaded(self, elements: NDArray[np.int64]) -> tuple[float, float]:
+        """Take forces of elements off those of the nodes; their energies stored in the mean strain and in bending."""
+        blocks, lanes = np.nonzero(np.isin(self._live.lanes, elements))
+        count = len(blocks)
+        corners = np.full((count, LANES, 8), -1, np.int32)
+        corners[:, 0] = self._corners[blocks, lanes]
+        state = np.zeros((count, element.STATE, LANES))
+        state[:, :3] = state[:, 8 : element.STATE] = 1
+        state[:, :, 0] = self._state[blocks, :, lanes]
+        cracks = np.zeros((count if len(self._cracks) else 0, 2, LANES))
+        if len(cracks):
+            cracks[:, :, 0] = self._cracks[blocks, :, lanes]
+        f, sums = np.zeros_like(self._f), np.zeros((1, element.SUMS))
+        element.forces(
+            self.x, corners, self._phases[blocks], np.array([0, count]), 0, 1, self._table, state,
+            np.full((count, LANES), -1, np.int32), self._contact.pushed, self._contact.push,
+            np.zeros(element.ROWS * LANES), f, sums, self._cracking, cracks,
+        )  # fmt: skip
+        # a voxel that is inside out has no energy that means anything
+        if not np.isfinite(f).all() or not np.isfinite(sums).all():
+            raise Failed(self.strain, "a voxel turned inside out")
+        self._f -= f
+        return float(sums[0, 0]), float(sums[0, 1])
+
+    def _compact(self, failed: NDArray[np.bool_]) -> None:
+        """Take failed elements out of their lanes; those behind them move up."""
+        self._released |= failed
+        lanes = self._live.lanes
+        gone = (lanes >= 0) & self._released[lanes]
+        blocks = np.flatnonzero(gone.any(1))
+        order = np.argsort(gone[blocks], axis=1, kind="stable")
+        moved = np.take_along_axis(np.where(gone[blocks], -1, lanes[blocks]), order, 1)
+        kept = lanes.copy()
+        kept[blocks] = moved
+        self._live = self._live._replace(lanes=kept)
+        empty = (moved < 0)[:, None]
+        at_rest = np.zeros((element.STATE, 1))
+        at_rest[:3] = at_rest[8 : element.STATE] = 1
+        self._state[blocks] = np.where(empty, at_rest, np.take_along_axis(self._state[blocks], order[:, None], 2))
+        if len(self._cracks):
+            self._cracks[blocks] = np.where(empty, 0.0, np.take_along_axis(self._cracks[blocks], order[:, None], 2))
+        self._arrange()
+        self._bare = True
+        self._ghosts = np.flatnonzero(self._released[self._live.surface])
+        if not self.load.rubble:
+            self._drop()
+
+    def _drop(self) -> None:
+        """Nodes that belong to released voxels alone leave, with their motion."""
+        used = np.zeros(len(self.x), bool)
+        used[self.body.corners[~self._released]] = True
+        leaving = ~used & (self._held & plates.DROPPED == 0)
+        if leaving.any():
+            self._failed += 0.5 * float(np.sum(self._mass[leaving, None] * self._v[leaving] ** 2))
+            self._v[leaving] = 0
+            self._f[leaving] = 0
+            self._held[leaving] |= plates.DROPPED
+
+    def _expose(self) -> None:
+        """The surface of what is left, whose contacts are to be searched anew."""
+        live = np.flatnonzero(~self._released).astype(np.int32)
+        surface, carried = surface_of(self.body.shape, self.body.voxels[live], self.load.confined)
+        lost = self._contact.lost
+        self._live = self._live._replace(surface=live[surface], carried=carried)
+        self._arrange()
+        self._contact = self._skin()
+        self._contact.lost = lost
+        self._ghosts, self._bare = np.zeros(0, np.int64), False
 
     def _kinetic(self) -> float:
         return 0.5 * float(np.sum(self._mass[:, None] * self._v**2))
@@ -246,8 +400,13 @@ class March:
 
     @property
     def plastic_strain(self) -> NDArray[np.float64]:
-        """Equivalent plastic strain of each element."""
-        return self._of_elements(ALPHA)
+        """Equivalent plastic strain of each element; of a released one that at its end."""
+        return np.where(self._released, self._last_alpha, self._of_elements(ALPHA))
+
+    @property
+    def released(self) -> NDArray[np.bool_]:
+        """Which elements have failed."""
+        return self._released.copy()
 
     def _balance(self) -> list[float]:
         elements, nodes = self._sums.sum(0), self._node_sums.sum(0)
@@ -257,6 +416,7 @@ class March:
             self.strain, self.step * self.dt, nodes[plates.TOP], nodes[plates.BOTTOM], self._work,
             elements[0], elements[1], plastic, self._contact.stored, self._contact.lost, kinetic,
             nodes[plates.DAMPED], self._work - nodes[plates.WORK], self._from_mass,
+            *([self._failed] if self.fails else []),
         ]  # fmt: skip
 
     def _record(self) -> None:
@@ -291,18 +451,24 @@ class March:
         self.relist()
         # contacts were searched again, as `resume` does: this changes the rounding of the march
         kept = {name: np.array(getattr(self, "_" + name)) for name in _ARRAYS}
-        scalars = (self.step, self._work, self._from_mass, self._contact.lost, self._recorded, self._given)
+        scalars = [self.step, self._work, self._from_mass, self._contact.lost, self._recorded, self._given]
+        if self.fails:
+            scalars.append(self._failed)
+            names = ("cracks", "released", "last_alpha", "held")
+            kept |= {name: np.array(getattr(self, "_" + name)) for name in names}
         return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "rows": np.array(self._rows)}
 
     def resume(self, kept: Mapping[str, NDArray[np.float64]]) -> None:
         """Go on from where another march was."""
-        for name in _ARRAYS:
+        if self.fails and kept["released"].any():
+            self._compact(kept["released"].astype(bool))
+        for name in (*_ARRAYS, *(("cracks", "released", "last_alpha", "held") if self.fails else ())):
             setattr(self, "_" + name, np.array(kept[name]))
         self.x = np.array(kept["x"])
-        step, self._work, self._from_mass, lost, self._recorded, self._given = kept["scalars"].tolist()
+        step, self._work, self._from_mass, lost, self._recorded, self._given, *failed = kept["scalars"].tolist()
         self.step = int(step)
         self.relist()
-        self._contact.lost = lost
+        self._contact.lost, self._failed = lost, sum(failed)
         self._rows = kept["rows"].tolist()
 
     def history(self) -> History:
@@ -316,7 +482,7 @@ class March:
         forces = np.concatenate([np.zeros((1, 2)), forces])
         ahead = (mean[-1, 0] - mean[-2, 0]) / (mean[-2, 0] - mean[-3, 0]) if len(mean) > 2 else 0.0
         top, bottom = np.concatenate([forces, forces[-1:] + ahead * (forces[-1:] - forces[-2:-1])]).T
-        return History(mean[:, 0], top, bottom, mean[:, 4], dict(zip(ENERGIES, mean[:, 5:].T, strict=True)))
+        return History(mean[:, 0], top, bottom, mean[:, 4], dict(zip(self.energies, mean[:, 5:].T, strict=True)))
 
     def shares(self) -> dict[str, float]:
         """Each energy at the last record over the work of the upper plate; the rest is `unbalanced`."""
@@ -324,7 +490,7 @@ class March:
 
     def _shares(self, row: list[float]) -> dict[str, float]:
         work = row[4] or 1.0
-        shares = {name: value / work for name, value in zip(ENERGIES, row[5:], strict=True)}
+        shares = {name: value / work for name, value in zip(self.energies, row[5:], strict=True)}
         shares["mass"] = -shares["mass"]
         shares["unbalanced"] = 1 + self._given / work - sum(shares.values())
         return shares
