@@ -54,6 +54,7 @@ def numbers_of(history: History, march: March, area: float, rate: float, young: 
         **{name: round(float(share), 6) for name, share in march.shares().items()},
         "plates_differ": round(float(difference / max(np.abs(history.top[later]).mean(), 1e-300)), 6),
         "added_mass": round(march.added_mass, 6),
+        **({"released": round(float(march.released.mean()), 6), "fragments": march.fragments()} if march.fails else {}),
     }
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, DesignError, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.features.crushing.compression import CrushedBody
 from sppm_pipeline.features.crushing.crush_report import PLATEAU, Table, is_quiet, mean_stress, numbers_of, warnings_of
+from sppm_pipeline.numerics import per_phase
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.crushing.numerics.body import Body
@@ -42,11 +43,12 @@ heuristics. A factor of two changes how much an interruption costs, not the resu
 
 
 class Frame(NamedTuple):
-    """Strain, positions of the nodes and plastic strain of the elements."""
+    """Strain, positions of the nodes, plastic strain of the elements and which of them have failed."""
 
     strain: float
     nodes: NDArray[np.float32]
     alpha: NDArray[np.float32]
+    released: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +86,24 @@ class Crusher(Stage):
         minimum=0,
         maximum=1e15,
     )
+    failure: str = option(
+        "none",
+        help="how the solid fails: j2, its yield stress falls beyond the last plastic strain of its table; rankine, it "
+        "cracks where the largest principal stress reaches `tensile_strength`; or both",
+        choices=("none", "j2", "rankine", "both"),
+    )
+    fracture_energy: float | tuple[float, ...] | None = option(
+        None, help=f"work to failure per area of a crack, {options.EACH_PHASE}; in `stress_unit` times mm, which is "
+        "kJ/m2 for MPa, or times cell sizes where the cell has no size in mm", above=0, maximum=1e15,
+    )  # fmt: skip
+    tensile_strength: float | tuple[float, ...] | None = option(
+        None, help=f"stress at which the solid cracks, {options.EACH_PHASE}; the first yield stress if omitted",
+        above=0, maximum=1e15,
+    )  # fmt: skip
+    rubble: str = option(
+        "keep", help="whether nodes of failed voxels stay as points of mass that contact pushes, or leave",
+        choices=("keep", "drop"),
+    )  # fmt: skip
     stress_unit: str = options.stress_unit("relative")
     solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
     frames: tuple[float, ...] = option(
@@ -107,6 +127,45 @@ class Crusher(Stage):
                     f"`yield_stress` has {stresses} beside a Young's modulus of {modulus:g}",
                     hint="give both in the same unit; yield stresses lie above 0 and below half of the modulus",
                 )
+        self._check_failure(young, tables)
+
+    def _check_failure(self, young: tuple[float, ...], tables: tuple[Table, ...]) -> None:
+        """What failure needs, and nothing that only failure uses without it."""
+        if self.failure == "none":
+            for name in ("fracture_energy", "tensile_strength"):
+                if getattr(self, name) is not None:
+                    raise ConfigError(
+                        f"`{name}` is of no use with `failure: none`", hint="write `failure: j2`, `rankine` or `both`"
+                    )
+            return
+        if self.fracture_energy is None:
+            raise ConfigError(f"`failure: {self.failure}` needs a `fracture_energy`")
+        for name in ("fracture_energy", "tensile_strength"):
+            if len(per_phase(getattr(self, name))) not in (0, 1, len(young)):
+                raise ConfigError(
+                    f"`{name}` has {len(per_phase(getattr(self, name)))} values, and `young` {len(young)}",
+                    hint="give one, or one for every phase",
+                )
+        if self.failure == "j2" and self.tensile_strength is not None:
+            raise ConfigError("`tensile_strength` is of no use with `failure: j2`", hint="write `failure: both`")
+        if self.failure != "rankine":
+            if not any(tables):
+                raise ConfigError(
+                    f"`failure: {self.failure}` needs a `yield_stress`", hint="an elastic solid fails by `rankine`"
+                )
+            for table in tables:
+                if any(b[1] < a[1] for a, b in pairwise(table)):
+                    raise ConfigError(
+                        f"`yield_stress` falls: {[row[1] for row in table]}",
+                        hint="leave out what falls: the solid softens by its `fracture_energy`",
+                    )
+        strengths = self._strengths()
+        if self.failure != "j2" and any(not 0 < f <= e / 2 for f, e in zip(strengths, young, strict=True)):
+            raise ConfigError(
+                f"`tensile_strength` is {strengths} (of a solid that does not yield it must be given) beside Young's "
+                f"moduli {young}",
+                hint="give both in the same unit; it lies above 0 and below half of the modulus",
+            )
 
     def _young(self) -> tuple[float, ...]:
         return self.young if isinstance(self.young, tuple) else (self.young,)
@@ -124,13 +183,50 @@ class Crusher(Stage):
         tables: tuple[Table, ...] = (given,) if flat else given
         return tables * len(self._young()) if len(tables) == 1 else tables
 
-    def _materials(self) -> tuple[Material, ...]:
+    def _strengths(self) -> tuple[float, ...]:
+        """Tensile strength of each phase."""
+        given = per_phase(self.tensile_strength)
+        if given:
+            return given * len(self._young()) if len(given) == 1 else given
+        return tuple(table[0][1] if table else math.inf for table in self._tables())
+
+    def _materials(self, edge: float) -> tuple[Material, ...]:
+        """Material of each phase in voxels with this edge, mm or cell sizes."""
         from sppm_pipeline.features.crushing.numerics.material import Material
 
-        return tuple(map(Material, self._young(), self._poisson(), self._tables()))
+        made = tuple(map(Material, self._young(), self._poisson(), self._tables()))
+        if self.failure == "none":
+            return made
+        energies = per_phase(self.fracture_energy)
+        energies = energies * len(made) if len(energies) == 1 else energies
+        softens, cracks = self.failure != "rankine", self.failure != "j2"
+        return tuple(
+            one._replace(fracture=energy / edge, strength=strength if cracks else math.inf, softens=softens)
+            for one, energy, strength in zip(made, energies, self._strengths(), strict=True)
+        )
+
+    def _check_snap_back(self, edge: float, cell: float | None, unit: str) -> None:
+        """Refuse voxels so large that the energy which one stores is more than a crack through it takes.
+
+        `edge` is that of a voxel, `cell` that of a cell, if a resolution can be named; both in `unit`.
+        """
+        if self.failure == "none":
+            return
+        largest = min(edge * m.fracture / m.least_fracture for m in self._materials(edge) if m.least_fracture > 0)
+        if edge > largest:
+            fine = "" if cell is None else f"`resolution: {math.ceil(cell / largest)}`, "
+            raise ConfigError(
+                f"voxels of {edge:.4g} {unit} store more energy than `fracture_energy: {self.fracture_energy}` takes "
+                f"up: their stress would snap back; the largest that are allowed have {largest:.4g} {unit}",
+                hint=f"write {fine}or a larger `fracture_energy`" if fine else "give a finer image, or a larger energy",
+            )
 
     def crushing(self, source: Size) -> Size:
-        """Elements times steps."""
+        """Elements times steps; voxels too large for the way in which the solid fails are refused."""
+        if source.geometry and not source.voxels:
+            cell = source.geometry.edge_mm or 1.0
+            unit = "mm" if source.geometry.edge_mm else "cell sizes"
+            self._check_snap_back(cell / self.resolution, cell, unit)
         grid = Size(voxels=source.voxels) if source.voxels else source.grid(self.resolution)
         voxels = source.voxels or grid.samples
         solid = 1 - (source.geometry.porosity if source.geometry else 0.5)
@@ -152,6 +248,8 @@ class Crusher(Stage):
     def crush(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
         """Crush, at lower and lower rates until that changes nothing unless the rate is given."""
         image, spacing, physical = self._image(context, source)
+        cell = None if isinstance(source, Voxels) else spacing * self.resolution
+        self._check_snap_back(spacing, cell, "mm" if physical else "cell sizes")
         rates = self._rates()
         if len(rates) == 1:
             return self._crushed(context, image, spacing, physical, rates[0])
@@ -226,9 +324,10 @@ class Crusher(Stage):
         warnings = _loose(turned[first:last])
         body = body_of(turned[first:last], confined=self.sides == "confined")
         plates = {"slip": 0.0, "stick": -1.0, "friction": self.friction}[self.plates]
-        load = Load(self.strain, rate, plates, self.sides == "confined", self.friction)
-        march = March(body, self._materials(), load, context.threads)
-        kept, failed = self._marched(context, march)
+        load = Load(self.strain, rate, plates, self.sides == "confined", self.friction, self.rubble == "keep")
+        materials = self._materials(spacing)
+        march = March(body, materials, load, context.threads)
+        kept, failed = self._marched(context, march, materials)
         context.report(steps=march.step, elements=len(body.corners))
         if failed is not None:
             context.warn(f"the simulation stopped: {failed}; its curve ends there")
@@ -240,7 +339,9 @@ class Crusher(Stage):
             context.warn(warning)
         return self._result(body, history, kept, numbers, image, spacing, physical, first, failed.why if failed else "")
 
-    def _marched(self, context: Context, march: March) -> tuple[list[Frame], Failed | None]:
+    def _marched(
+        self, context: Context, march: March, materials: tuple[Material, ...]
+    ) -> tuple[list[Frame], Failed | None]:
         """The frames of a march that goes on where an interrupted run has left it, and why it ended early."""
         from sppm_pipeline.features.crushing.numerics.march import Failed
 
@@ -249,7 +350,7 @@ class Crusher(Stage):
         # the march, whose contacts are searched again at each; a run that was interrupted may end where it was
         strides = {round(step * STRIDE, 9) for step in range(1, int(self.strain / STRIDE) + 1)} - {self.strain}
         # a state belongs to all that changes the march or its frames, but for the strain at its end
-        described = repr((self._materials(), march.load._replace(strain=0.0), self.frames, march.body.shape))
+        described = repr((materials, march.load._replace(strain=0.0), self.frames, march.body.shape))
         content = described.encode() + march.body.voxels.tobytes() + march.body.phases.tobytes()
         key = hashlib.sha256(content).hexdigest()
         found: list[Frame] = []
@@ -334,11 +435,14 @@ class Crusher(Stage):
             frame_strains=np.array([frame.strain for frame in kept]),
             frame_nodes=np.stack([((frame.nodes + lift) * spacing)[:, back] for frame in kept]),
             frame_alpha=np.stack([frame.alpha for frame in kept]),
+            frame_released=np.zeros((0, 0), bool)
+            if self.failure == "none"
+            else np.stack([frame.released for frame in kept]),
         )
 
 
 def _frame(march: March) -> Frame:
-    return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32))
+    return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32), march.released)
 
 
 def _change(one: CrushedBody, other: CrushedBody) -> float:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.features.crushing.numerics.material import (
     ALPHA,
     DISSIPATED,
+    HARDENING,
     LANES,
     PLASTIC,
     STORED,
@@ -31,13 +32,13 @@ from sppm_pipeline.numerics import inline_jit, jit
 
 #: Rows of scratch: 24 of corners or modes, 9 deformation gradient, 10 state, 9 stress, yield stress, hardening,
 #: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain,
-#: bound of the largest principal stress.
+#: bound of the largest principal stress, or plastic strain before the step.
 ROWS = 72
 STATE = 10
 """Numbers kept of an element: 6 of the plastic metric, equivalent plastic strain, energy of bending were it elastic,
 the share of its stiffness, and the largest stiffness of the element."""
 
-_BENT, _SHARE, _WORK = 40, 41, 57
+_BENT, _SHARE, _WORK, _BOUND = 40, 41, 57, 71
 _LANES = np.uint64(LANES)
 _R = tuple(np.uint64(LANES * row) for row in range(ROWS))
 _8 = np.uint64(8 * LANES)
@@ -154,7 +155,7 @@ def _bound(s: NDArray[Any]) -> None:
         mean = (xx + yy + zz) * (1 / 3)
         xx, yy, zz = xx - mean, yy - mean, zz - mean
         square = xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)
-        s[e + _R[71]] = mean + np.sqrt((2 / 3) * square)
+        s[e + _R[_BOUND]] = mean + np.sqrt((2 / 3) * square)
 
 
 @jit
@@ -184,7 +185,7 @@ def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, decay: float) ->
     _bound(s)
     for e in range(_LANES):
         reached = max(own[0, e], strength)
-        if s[e + _R[71]] > reached:
+        if s[e + _R[_BOUND]] > reached:
             now = _principal(s, e)
             if now > reached:
                 damage = 1 - strength / now * np.exp(-decay * (now - strength))
@@ -206,7 +207,7 @@ def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, decay: float) ->
 def forces(
     x: NDArray[Any], corners: NDArray[Any], phases: NDArray[Any], slabs: NDArray[Any], first: int, last: int,
     table: NDArray[Any], state: NDArray[Any], surface: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any],
-    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any], cracking: NDArray[Any], cracks: NDArray[Any],
+    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any], failing: NDArray[Any], cracks: NDArray[Any],
 ) -> None:  # fmt: skip
     """Add the forces of every second slab of elements to those of the nodes, and advance the elements' state.
 
@@ -216,11 +217,11 @@ def forces(
     `slabs` (slabs + 1,) where the blocks of each begin. `state` (blocks, STATE, LANES) is advanced in place. `surface`
     (blocks, LANES) numbers voxels at the surface, or is -1; of these `pushed` says which are in contact, and `push`
     (voxels, 8, 3) has the forces on their corners. `s` (ROWS * LANES,) is scratch. Of `sums` (slabs, SUMS) the
-    energies stored are set; what was dissipated, and the work of bending, are added to. `cracking` is
-    `material.cracking`, `cracks` (blocks, 2, LANES) the largest stress and the damage of each element, advanced in
-    place; both are empty if nothing cracks.
+    energies stored are set; what was dissipated, and the work of bending, are added to. `failing` is
+    `material.failing`, empty if nothing fails; `cracks` (blocks, 2, LANES) the largest stress and the damage of each
+    element, advanced in place, empty if nothing cracks.
     """
-    cracks_at_all = len(cracking) > 0
+    fails, cracked = len(failing) > 0, len(cracks) > 0
     for slab in range(first, last, 2):
         stored, bent, dissipated, bending = 0.0, 0.0, 0.0, 0.0
         for block in range(slabs[slab], slabs[slab + 1]):
@@ -246,17 +247,25 @@ def forces(
             _transform(s)
             _bend(s, table[phase, 0], table[phase, 1])
             yield_stresses(s, table, phase)
-            if cracks_at_all:
+            if cracked:
                 # what has cracked flows no more: else plastic flow would hold its effective stress
                 for e in range(LANES):
                     if cracks[block, 1, e] > 0:
                         s[YIELD * LANES + e] *= 1e30
+            if fails:
+                for e in range(LANES):
+                    s[_BOUND * LANES + e] = s[ALPHA * LANES + e]
             stresses(s, table, phase)
-            if cracks_at_all:
+            if fails:
+                # flow dissipates by the mean of the stresses before and after; in a voxel that fails they differ
+                for e in range(LANES):
+                    flow = s[ALPHA * LANES + e] - s[_BOUND * LANES + e]
+                    s[DISSIPATED * LANES + e] -= 0.5 * s[HARDENING * LANES + e] * flow * flow
+            if cracked:
                 for e in range(LANES):
                     if cracks[block, 1, e] > 0:
                         s[YIELD * LANES + e] *= 1e-30
-                _crack(s, cracks[block], cracking[phase, 0], cracking[phase, 1])
+                _crack(s, cracks[block], failing[phase, 0], failing[phase, 1])
             _push(s, table[phase, 1])
             _transform(s)
             for row in range(STATE):

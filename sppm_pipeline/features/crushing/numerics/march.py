@@ -20,9 +20,10 @@ from sppm_pipeline.features.crushing.numerics.material import (
     RELEASED,
     Material,
     constants,
-    cracking,
+    failing,
 )
 from sppm_pipeline.features.crushing.numerics.selfcontact import SelfContact
+from sppm_pipeline.numerics import find_components
 
 COURANT, STABLE = 0.6, 0.8
 """Largest time step over the time that a pressure wave takes for an edge; share of the squared step at which a brick of
@@ -105,10 +106,10 @@ class March:
         self._threads = max(1, threads)
         self._pool = ThreadPoolExecutor(self._threads) if threads > 1 else None
         nz = body.shape[2]
-        self._table, self._cracking = constants(materials), cracking(materials)
+        self._table, self._failing = constants(materials), failing(materials)
         self._failure = np.array([m.failure_strain for m in materials])
         self._softening = np.array([m.yield_stress[-1][0] if m.fails else math.inf for m in materials])
-        self.fails = any(m.fails or m.cracks for m in materials)
+        self.fails = len(self._failing) > 0
         self.energies = (*ENERGIES, FAILED) if self.fails else ENERGIES
         self._modulus = np.array([m.wave_modulus for m in materials]) / materials[0].wave_modulus
         # at rest the volume is what is stiffest
@@ -137,7 +138,7 @@ class March:
         self._state = np.zeros((len(body.lanes), element.STATE, LANES))
         self._state[:, :3] = 1
         self._state[:, 8 : element.STATE] = 1
-        self._cracks = np.zeros((len(body.lanes) if len(self._cracking) else 0, 2, LANES))
+        self._cracks = np.zeros((len(body.lanes) if any(m.cracks for m in materials) else 0, 2, LANES))
         self._released = np.zeros(len(body.corners), bool)
         self._last_alpha = np.zeros(len(body.corners))
         self._ghosts = np.zeros(0, np.int64)
@@ -239,7 +240,7 @@ class March:
                 element.forces(
                     self.x, self._corners, self._phases, self.body.slabs, 2 * a + odd, min(2 * b + odd, slabs),
                     self._table, self._state, self._surface, self._contact.pushed, self._contact.push, scratch, self._f,
-                    self._sums, self._cracking, self._cracks,
+                    self._sums, self._failing, self._cracks,
                 )  # fmt: skip
 
             self._share((slabs + 1 - odd) // 2, part)
@@ -292,7 +293,7 @@ class March:
             damage, reached = self._unblocked(self._cracks[:, 1], 0.0), self._unblocked(self._cracks[:, 0], 0.0)
             failing |= damage > 0.5
             inside_out |= (damage > 0) & ~(ratios > 0)
-            failed |= (damage > 0) & ((1 - damage) * reached <= RELEASED * self._cracking[phases, 0])
+            failed |= (damage > 0) & ((1 - damage) * reached <= RELEASED * self._failing[phases, 0])
         failed |= inside_out
         # those about to fail may be torn or crushed before
         doubtful = np.flatnonzero(failing & ~failed)
@@ -330,7 +331,7 @@ class March:
         element.forces(
             self.x, corners, self._phases[blocks], np.array([0, count]), 0, 1, self._table, state,
             np.full((count, LANES), -1, np.int32), self._contact.pushed, self._contact.push,
-            np.zeros(element.ROWS * LANES), f, sums, self._cracking, cracks,
+            np.zeros(element.ROWS * LANES), f, sums, self._failing, cracks,
         )  # fmt: skip
         # a voxel that is inside out has no energy that means anything
         if not np.isfinite(f).all() or not np.isfinite(sums).all():
@@ -407,6 +408,13 @@ class March:
     def released(self) -> NDArray[np.bool_]:
         """Which elements have failed."""
         return self._released.copy()
+
+    def fragments(self) -> int:
+        """Pieces of what has not failed, connected across faces of voxels."""
+        solid = np.zeros(self.body.shape[::-1], np.uint8)
+        x, y, z = self.body.voxels[~self._released].T
+        solid[z, y, x] = 1
+        return len(find_components(solid, (False,) * 3, 6).sizes)
 
     def _balance(self) -> list[float]:
         elements, nodes = self._sums.sum(0), self._node_sums.sum(0)

@@ -137,13 +137,12 @@ def constants(materials: tuple[Material, ...]) -> NDArray[np.float64]:
     return table
 
 
-def cracking(materials: tuple[Material, ...]) -> NDArray[np.float64]:
+def failing(materials: tuple[Material, ...]) -> NDArray[np.float64]:
     """For each material the stress at which it cracks and, per stress beyond, the decay of what a crack bears
-    (phases, 2), in units of the first one's Young's modulus; empty (0, 2) if none cracks."""
-    if not any(m.cracks for m in materials):
+    (phases, 2), in units of the first one's Young's modulus; empty (0, 2) if none fails in any way."""
+    if not any(m.fails or m.cracks for m in materials):
         return np.zeros((0, 2))
-    unit = materials[0].young
-    rows = []
+    rows, unit = [], materials[0].young
     for m in materials:
         f = m.strength
         # the area below the curve up to the release is the work to failure; what rises elastically is part of it
