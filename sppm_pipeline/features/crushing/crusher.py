@@ -101,8 +101,8 @@ class Crusher(Stage):
         above=0, maximum=1e15,
     )  # fmt: skip
     rubble: str = option(
-        "keep", help="whether nodes of failed voxels stay as points of mass that contact pushes, or leave",
-        choices=("keep", "drop"),
+        "drop", help="whether nodes of failed voxels leave, or stay as points of mass that contact pushes",
+        choices=("drop", "keep"),
     )  # fmt: skip
     stress_unit: str = options.stress_unit("relative")
     solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)

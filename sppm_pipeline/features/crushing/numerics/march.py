@@ -56,11 +56,16 @@ warning, and there are up to 800 records."""
 VOLUMES = (0.05, 5.0)
 """Range of the volume of a voxel that has begun to fail, over that at rest, beyond which it is released."""
 
+SOFT, FREE = 0.1, 1.0
+"""Stiffness of contacts of rubble, a node each, over that of voxels of as much mass, as many may squeeze one node; and
+distance from corners of the surface at which nodes become rubble, which must not begin with an overlap."""
+
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 FAILED = "failed"
 """One energy more where voxels fail: what they stored when they were released, and the motion of nodes that left."""
 
 _ARRAYS = ("v", "f", "state", "mass", "heavier", "sums", "node_sums")
+_KEPT = ("cracks", "released", "last_alpha", "held", "points")
 
 
 class Failed(ArithmeticError):
@@ -141,7 +146,7 @@ class March:
         self._cracks = np.zeros((len(body.lanes) if any(m.cracks for m in materials) else 0, 2, LANES))
         self._released = np.zeros(len(body.corners), bool)
         self._last_alpha = np.zeros(len(body.corners))
-        self._ghosts = np.zeros(0, np.int64)
+        self._ghosts, self._points = np.zeros(0, np.int64), np.zeros(len(body.nodes), bool)
         self._bare, self._failed = False, 0.0
         self._mass0 = self._node_masses(self._density)
         self._mass = self._mass0.copy()
@@ -167,8 +172,24 @@ class March:
         self._surface = live.blocked(number, -1)
 
     def _skin(self) -> SelfContact:
-        """Contact of the surface as it is now."""
-        return SelfContact(self._live, self._stiffness, self._modulus, self.load.friction, self.dt, self._share)
+        """Contact of the surface as it is now, and of nodes that belong to released voxels alone."""
+        points = np.flatnonzero(self._points)
+        phases = np.zeros(len(self.body.nodes), np.int64)
+        phases[self.body.corners[self._released]] = self.body.phases[self._released, None]
+        # a ball of a voxel moves about half of its mass
+        shares = SOFT * np.minimum(1.0, 2 * self._mass0[points] / self._modulus[phases[points]])
+        return SelfContact(
+            self._live, self._stiffness, self._modulus, self.load.friction, self.dt, self._share, points, shares,
+            phases[points],
+        )  # fmt: skip
+
+    @property
+    def _alone(self) -> NDArray[np.bool_]:
+        """Nodes that belong to released voxels alone."""
+        alone = np.zeros(len(self.body.nodes), bool)
+        alone[self.body.corners[self._released]] = True
+        alone[self.body.corners[~self._released]] = False
+        return alone
 
     def relist(self) -> None:
         """Search the surfaces that may come to touch."""
@@ -245,9 +266,9 @@ class March:
 
             self._share((slabs + 1 - odd) // 2, part)
         if len(self._ghosts):
-            # surfaces of released voxels that nothing has replaced yet
+            # rubble, and surfaces of released voxels that nothing has replaced yet
             at = self._ghosts[self._contact.pushed[self._ghosts] > 0]
-            np.add.at(self._f, self.body.corners[self._live.surface[at]], self._contact.push[at])
+            np.add.at(self._f, self._contact.corners[at], self._contact.push[at])
 
     def _node_masses(self, masses: NDArray[np.float64]) -> NDArray[np.float64]:
         shares = np.repeat(masses / 8, 8)
@@ -358,15 +379,30 @@ class March:
             self._cracks[blocks] = np.where(empty, 0.0, np.take_along_axis(self._cracks[blocks], order[:, None], 2))
         self._arrange()
         self._bare = True
-        self._ghosts = np.flatnonzero(self._released[self._live.surface])
+        self._haunt()
         if not self.load.rubble:
             self._drop()
 
+    def _haunt(self) -> None:
+        """Find what contact pushes without an element that would pass the force on."""
+        surface = self._live.surface
+        points = np.arange(len(surface), len(self._contact.pushed))
+        self._ghosts = np.concatenate([np.flatnonzero(self._released[surface]), points])
+
+    def _scatter(self) -> None:
+        """Nodes that belong to released voxels alone become points that contact pushes, once they overlap nothing."""
+        from scipy.spatial import cKDTree
+
+        new = np.flatnonzero(self._alone & ~self._points)
+        if len(new):
+            balls = self.x[self._live.corners[self._live.surface]].reshape(-1, 3)
+            others = np.concatenate([balls, self.x[self._points]])
+            near, _ = cKDTree(others).query(self.x[new], distance_upper_bound=FREE)
+            self._points[new[np.isinf(near)]] = True
+
     def _drop(self) -> None:
         """Nodes that belong to released voxels alone leave, with their motion."""
-        used = np.zeros(len(self.x), bool)
-        used[self.body.corners[~self._released]] = True
-        leaving = ~used & (self._held & plates.DROPPED == 0)
+        leaving = self._alone & (self._held & plates.DROPPED == 0)
         if leaving.any():
             self._failed += 0.5 * float(np.sum(self._mass[leaving, None] * self._v[leaving] ** 2))
             self._v[leaving] = 0
@@ -379,10 +415,13 @@ class March:
         surface, carried = surface_of(self.body.shape, self.body.voxels[live], self.load.confined)
         lost = self._contact.lost
         self._live = self._live._replace(surface=live[surface], carried=carried)
+        if self.load.rubble:
+            self._scatter()
         self._arrange()
         self._contact = self._skin()
         self._contact.lost = lost
-        self._ghosts, self._bare = np.zeros(0, np.int64), False
+        self._bare = False
+        self._haunt()
 
     def _kinetic(self) -> float:
         return 0.5 * float(np.sum(self._mass[:, None] * self._v**2))
@@ -462,7 +501,7 @@ class March:
         scalars = [self.step, self._work, self._from_mass, self._contact.lost, self._recorded, self._given]
         if self.fails:
             scalars.append(self._failed)
-            names = ("cracks", "released", "last_alpha", "held")
+            names = _KEPT
             kept |= {name: np.array(getattr(self, "_" + name)) for name in names}
         return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "rows": np.array(self._rows)}
 
@@ -470,7 +509,7 @@ class March:
         """Go on from where another march was."""
         if self.fails and kept["released"].any():
             self._compact(kept["released"].astype(bool))
-        for name in (*_ARRAYS, *(("cracks", "released", "last_alpha", "held") if self.fails else ())):
+        for name in (*_ARRAYS, *(_KEPT if self.fails else ())):
             setattr(self, "_" + name, np.array(kept[name]))
         self.x = np.array(kept["x"])
         step, self._work, self._from_mass, lost, self._recorded, self._given, *failed = kept["scalars"].tolist()
