@@ -23,6 +23,7 @@ from sppm_pipeline.features.crushing.numerics.material import (
     HARDENING,
     LANES,
     PLASTIC,
+    RELEASED,
     STORED,
     YIELD,
     stresses,
@@ -42,6 +43,9 @@ _BENT, _SHARE, _WORK, _BOUND = 40, 41, 57, 71
 _LANES = np.uint64(LANES)
 _R = tuple(np.uint64(LANES * row) for row in range(ROWS))
 _8 = np.uint64(8 * LANES)
+
+TAKEN = 1 - RELEASED
+"""Share of the work to failure that a crack takes up until its voxel is released."""
 
 #: What `forces` adds up for each slab: energy stored in the mean strain and in bending, dissipated by plastic flow,
 #: work of bending.
@@ -177,23 +181,30 @@ def _principal(s: NDArray[Any], e: Any) -> Any:
 
 
 @inline_jit
-def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, decay: float) -> None:
-    """Weaken cracked elements, by isotropic damage whose effective stress obeys the Rankine criterion.
+def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, fracture: float, young: float) -> None:
+    """Weaken cracked elements: isotropic damage, which the largest principal effective stress (Rankine) lets grow.
 
-    `own` (2, LANES) has the largest principal effective stress so far, beyond the strength, and the damage.
+    Damage follows the root of the stored energy, as a stress; so it takes up the work to failure, `fracture` per
+    volume, in any state of stress. `own` (3, LANES) has that stress where a crack began, the largest so far, and the
+    damage.
     """
     _bound(s)
     for e in range(_LANES):
-        reached = max(own[0, e], strength)
-        if s[e + _R[_BOUND]] > reached:
-            now = _principal(s, e)
-            if now > reached:
-                damage = 1 - strength / now * np.exp(-decay * (now - strength))
-                # elastic energies of the mean strain and of bending that this damage takes
-                taken = s[e + _R[STORED]] + s[e + _R[_SHARE]] * s[e + _R[56]]
-                s[e + _R[DISSIPATED]] += (damage - own[1, e]) * taken
-                own[0, e], own[1, e] = now, damage
-        left = 1 - own[1, e]
+        # elastic energies of the mean strain and of bending
+        energy = s[e + _R[STORED]] + s[e + _R[_SHARE]] * s[e + _R[56]]
+        driving = np.sqrt(2 * young * max(energy, 0.0))
+        if s[e + _R[_BOUND]] > strength and driving > own[1, e] and _principal(s, e) > strength:
+            if own[0, e] == 0:
+                own[0, e] = own[1, e] = driving
+            first = own[0, e]
+            begun = first * first / (2 * young)
+            # no steeper than it rose: else the stress would snap back
+            decay = TAKEN * first / (young * max(fracture - begun, 2 * begun))
+            damage = 1 - first / driving * np.exp(-decay * (driving - first))
+            # forces before and after, over the way between, dissipate by the geometric mean of the energies
+            s[e + _R[DISSIPATED]] += (damage - own[2, e]) * driving * own[1, e] / (2 * young)
+            own[1, e], own[2, e] = driving, damage
+        left = 1 - own[2, e]
         if left < 1:
             s[e + _R[STORED]] *= left
             s[e + _R[56]] *= left
@@ -218,8 +229,8 @@ def forces(
     (blocks, LANES) numbers voxels at the surface, or is -1; of these `pushed` says which are in contact, and `push`
     (voxels, 8, 3) has the forces on their corners. `s` (ROWS * LANES,) is scratch. Of `sums` (slabs, SUMS) the
     energies stored are set; what was dissipated, and the work of bending, are added to. `failing` is
-    `material.failing`, empty if nothing fails; `cracks` (blocks, 2, LANES) the largest stress and the damage of each
-    element, advanced in place, empty if nothing cracks.
+    `material.failing`, empty if nothing fails; `cracks` (blocks, 3, LANES) is that of `_crack`, advanced in
+    place, empty if nothing cracks.
     """
     fails, cracked = len(failing) > 0, len(cracks) > 0
     for slab in range(first, last, 2):
@@ -250,7 +261,7 @@ def forces(
             if cracked:
                 # what has cracked flows no more: else plastic flow would hold its effective stress
                 for e in range(LANES):
-                    if cracks[block, 1, e] > 0:
+                    if cracks[block, 2, e] > 0:
                         s[YIELD * LANES + e] *= 1e30
             if fails:
                 for e in range(LANES):
@@ -263,9 +274,9 @@ def forces(
                     s[DISSIPATED * LANES + e] -= 0.5 * s[HARDENING * LANES + e] * flow * flow
             if cracked:
                 for e in range(LANES):
-                    if cracks[block, 1, e] > 0:
+                    if cracks[block, 2, e] > 0:
                         s[YIELD * LANES + e] *= 1e-30
-                _crack(s, cracks[block], failing[phase, 0], failing[phase, 1])
+                _crack(s, cracks[block], failing[phase, 0], failing[phase, 1], failing[phase, 2])
             _push(s, table[phase, 1])
             _transform(s)
             for row in range(STATE):

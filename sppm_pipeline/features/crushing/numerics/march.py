@@ -143,7 +143,7 @@ class March:
         self._state = np.zeros((len(body.lanes), element.STATE, LANES))
         self._state[:, :3] = 1
         self._state[:, 8 : element.STATE] = 1
-        self._cracks = np.zeros((len(body.lanes) if any(m.cracks for m in materials) else 0, 2, LANES))
+        self._cracks = np.zeros((len(body.lanes) if any(m.cracks for m in materials) else 0, 3, LANES))
         self._released = np.zeros(len(body.corners), bool)
         self._last_alpha = np.zeros(len(body.corners))
         self._ghosts, self._points = np.zeros(0, np.int64), np.zeros(len(body.nodes), bool)
@@ -311,10 +311,10 @@ class March:
         failing = 2 * alpha > (self._softening + self._failure)[phases]
         inside_out = (alpha > self._softening[phases]) & ~(ratios > 0)
         if len(self._cracks):
-            damage, reached = self._unblocked(self._cracks[:, 1], 0.0), self._unblocked(self._cracks[:, 0], 0.0)
+            first, reached, damage = (self._unblocked(self._cracks[:, row], 0.0) for row in range(3))
             failing |= damage > 0.5
             inside_out |= (damage > 0) & ~(ratios > 0)
-            failed |= (damage > 0) & ((1 - damage) * reached <= RELEASED * self._failing[phases, 0])
+            failed |= (damage > 0) & ((1 - damage) * reached <= RELEASED * first)
         failed |= inside_out
         # those about to fail may be torn or crushed before
         doubtful = np.flatnonzero(failing & ~failed)
@@ -345,7 +345,7 @@ class March:
         state = np.zeros((count, element.STATE, LANES))
         state[:, :3] = state[:, 8 : element.STATE] = 1
         state[:, :, 0] = self._state[blocks, :, lanes]
-        cracks = np.zeros((count if len(self._cracks) else 0, 2, LANES))
+        cracks = np.zeros((count if len(self._cracks) else 0, 3, LANES))
         if len(cracks):
             cracks[:, :, 0] = self._cracks[blocks, :, lanes]
         f, sums = np.zeros_like(self._f), np.zeros((1, element.SUMS))

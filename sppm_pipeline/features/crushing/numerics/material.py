@@ -138,17 +138,17 @@ def constants(materials: tuple[Material, ...]) -> NDArray[np.float64]:
 
 
 def failing(materials: tuple[Material, ...]) -> NDArray[np.float64]:
-    """For each material the stress at which it cracks and, per stress beyond, the decay of what a crack bears
-    (phases, 2), in units of the first one's Young's modulus; empty (0, 2) if none fails in any way."""
+    """Of each material the stress at which it cracks, work to failure per volume, and Young's modulus (phases, 3).
+
+    In units of the first one's Young's modulus; empty (0, 3) if none fails in any way.
+    """
     if not any(m.fails or m.cracks for m in materials):
-        return np.zeros((0, 2))
-    rows, unit = [], materials[0].young
-    for m in materials:
-        f = m.strength
-        # the area below the curve up to the release is the work to failure; what rises elastically is part of it
-        decay = (1 - RELEASED) * f / (m.fracture - f**2 / (2 * m.young)) / m.young if m.cracks else 0.0
-        rows.append((f / unit, decay * unit) if m.cracks else (NO_YIELD, 0.0))
-    return np.array(rows)
+        return np.zeros((0, 3))
+    unit = materials[0].young
+    return np.array([
+        (m.strength / unit if m.cracks else NO_YIELD, min(m.fracture / unit, NO_YIELD), m.young / unit)
+        for m in materials
+    ])  # fmt: skip
 
 
 @inline_jit
