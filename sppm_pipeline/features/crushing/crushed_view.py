@@ -41,8 +41,8 @@ def frame_pictures(
     elements: NDArray[np.int32],
     frames: NDArray[np.float32],
     colors: Iterator[NDArray[np.uint8]],
-    released: NDArray[np.bool_],
     *,
+    released: NDArray[np.bool_] | None = None,
     axis: str,
     camera: Camera,
     size: tuple[int, int],
@@ -51,7 +51,7 @@ def frame_pictures(
     """A picture (height, width, 3) of each frame, all at one scale, the axis of compression upright.
 
     `frames` (f, p, 3) are positions of the nodes, `colors` those of the voxels (m, 3), frame by frame; `released`
-    (f, m) says which voxels have failed and are not drawn, or is empty. The camera is in the turned axes. `section` is
+    (f, m) says which voxels have failed and are not drawn, if any can. The camera is in the turned axes. `section` is
     the share of the undeformed block that is kept, along the second of the turned axes, the far side; a layer of voxels
     at least.
     """
@@ -60,7 +60,7 @@ def frame_pictures(
     if section is not None:
         along = voxels[:, turned[1]]
         kept = along >= min((1 - section) * grid[turned[1]] - 0.5, along.max())  # the farthest layer at least
-    shown = [kept] * len(frames) if not len(released) else [kept & ~gone for gone in released]
+    shown = [kept] * len(frames) if released is None or not len(released) else [kept & ~gone for gone in released]
     drawn: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
     for number, here in enumerate(shown):
         if number and np.array_equal(here, shown[number - 1]):

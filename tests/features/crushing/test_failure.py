@@ -40,7 +40,7 @@ class Voxel:
         self.state = np.zeros((1, element.STATE, element.LANES))
         self.state[:, :3] = self.state[:, 8:] = 1
         self.side = 1.0
-        self.cracks = np.zeros((1 if material.cracks else 0, 3, element.LANES))
+        self.cracks = np.zeros((1 if material.cracks else 0, 4, element.LANES))
 
     def _forces(self, side, stretch):
         state, cracks, sums = self.state.copy(), self.cracks.copy(), np.zeros((1, element.SUMS))
@@ -86,7 +86,7 @@ def test_a_bar_takes_the_same_work_however_many_voxels_it_has(how, way, n):
         if how == "j2":
             released = voxel.state[0, 6, 0] >= material.failure_strain
         else:
-            first, largest, damage = voxel.cracks[0, :, 0]
+            first, largest, damage, _ = voxel.cracks[0, :, 0]
             released = damage > 0 and (1 - damage) * largest <= RELEASED * first
         if released:
             break

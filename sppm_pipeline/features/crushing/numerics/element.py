@@ -185,8 +185,8 @@ def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, fracture: float,
     """Weaken cracked elements: isotropic damage, which the largest principal effective stress (Rankine) lets grow.
 
     Damage follows the root of the stored energy, as a stress; so it takes up the work to failure, `fracture` per
-    volume, in any state of stress. `own` (3, LANES) has that stress where a crack began, the largest so far, and the
-    damage.
+    volume, in any state of stress. `own` (4, LANES) has that stress where a crack began, the largest so far, the
+    damage, and that stress one step ago.
     """
     _bound(s)
     for e in range(_LANES):
@@ -202,8 +202,9 @@ def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, fracture: float,
             decay = TAKEN * first / (young * max(fracture - begun, 2 * begun))
             damage = 1 - first / driving * np.exp(-decay * (driving - first))
             # forces before and after, over the way between, dissipate by the geometric mean of the energies
-            s[e + _R[DISSIPATED]] += (damage - own[2, e]) * driving * own[1, e] / (2 * young)
+            s[e + _R[DISSIPATED]] += (damage - own[2, e]) * driving * own[3, e] / (2 * young)
             own[1, e], own[2, e] = driving, damage
+        own[3, e] = driving
         left = 1 - own[2, e]
         if left < 1:
             s[e + _R[STORED]] *= left
@@ -229,7 +230,7 @@ def forces(
     (blocks, LANES) numbers voxels at the surface, or is -1; of these `pushed` says which are in contact, and `push`
     (voxels, 8, 3) has the forces on their corners. `s` (ROWS * LANES,) is scratch. Of `sums` (slabs, SUMS) the
     energies stored are set; what was dissipated, and the work of bending, are added to. `failing` is
-    `material.failing`, empty if nothing fails; `cracks` (blocks, 3, LANES) is that of `_crack`, advanced in
+    `material.failing`, empty if nothing fails; `cracks` (blocks, 4, LANES) is that of `_crack`, advanced in
     place, empty if nothing cracks.
     """
     fails, cracked = len(failing) > 0, len(cracks) > 0

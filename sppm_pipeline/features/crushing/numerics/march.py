@@ -143,7 +143,7 @@ class March:
         self._state = np.zeros((len(body.lanes), element.STATE, LANES))
         self._state[:, :3] = 1
         self._state[:, 8 : element.STATE] = 1
-        self._cracks = np.zeros((len(body.lanes) if any(m.cracks for m in materials) else 0, 3, LANES))
+        self._cracks = np.zeros((len(body.lanes) if any(m.cracks for m in materials) else 0, 4, LANES))
         self._released = np.zeros(len(body.corners), bool)
         self._last_alpha = np.zeros(len(body.corners))
         self._ghosts, self._points = np.zeros(0, np.int64), np.zeros(len(body.nodes), bool)
@@ -345,7 +345,7 @@ class March:
         state = np.zeros((count, element.STATE, LANES))
         state[:, :3] = state[:, 8 : element.STATE] = 1
         state[:, :, 0] = self._state[blocks, :, lanes]
-        cracks = np.zeros((count if len(self._cracks) else 0, 3, LANES))
+        cracks = np.zeros((count if len(self._cracks) else 0, 4, LANES))
         if len(cracks):
             cracks[:, :, 0] = self._cracks[blocks, :, lanes]
         f, sums = np.zeros_like(self._f), np.zeros((1, element.SUMS))

@@ -65,9 +65,8 @@ class WriteFrames(Stage):
             context.warn("nothing has yielded, so that the frames have one color")
         drawn = frame_pictures(
             body.voxels, body.grid, body.elements, body.frame_nodes, _colors(body, self.color, top),
-            body.frame_released,
             axis=body.axis, camera=Camera(azimuth=self.azimuth, elevation=self.elevation), size=self.image_size,
-            section=self.section,
+            section=self.section, released=body.frame_released,
         )  # fmt: skip
         pictures, total = [], len(body.frame_strains)
         for number, picture in enumerate(drawn, 1):
