@@ -26,7 +26,8 @@ AUTO = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 """Rates that `auto` tries."""
 
 MAX_CHANGE = 0.02
-"""Change of plateau stress, highest stress before it, and work by the last halving of the rate that ends `auto`."""
+"""Change of plateau stress, highest stress before it, and work by the last halving of the rate that ends `auto`; if the
+solid fails, of the highest stress alone."""
 
 USUAL, MIN_DENSITY = 0.01, 0.2
 """Rate that is tried first, and the only one if the solid fills as much as this and the balance of energy is quiet.
@@ -266,7 +267,7 @@ class Crusher(Stage):
                 continue
             # the rate of all but slender structures: one run is enough
             usual = self.rate is None and rate == USUAL and made.numbers["relative_density"] >= MIN_DENSITY
-            change = _change(last, made) if last is not None else math.nan
+            change = _change(last, made, self.failure != "none") if last is not None else math.nan
             if change < MAX_CHANGE or (usual and is_quiet(made.numbers)):
                 return made
         assert made is not None
@@ -445,13 +446,19 @@ def _frame(march: March) -> Frame:
     return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32), march.released)
 
 
-def _change(one: CrushedBody, other: CrushedBody) -> float:
-    """Largest relative difference of plateau stress (of a short run, of its second half), highest stress, and work."""
+def _change(one: CrushedBody, other: CrushedBody, fails: bool) -> float:
+    """Largest relative difference of plateau stress (of a short run, of its second half), highest stress, and work.
+
+    If the solid fails, that of the highest stress alone: which piece breaks next depends on everything.
+    """
     end = float(min(one.strain[-1], other.strain[-1]))
-    found = []
+    found: list[tuple[float, ...]] = []
     for body in (one, other):
-        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
         highest = float(body.stress[body.strain <= PLATEAU[0]].max())
+        if fails:
+            found.append((highest,))
+            continue
+        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
         found.append((level, highest, float(np.interp(end, body.strain, body.energies["external"]))))
     return max((abs(after / before - 1) for before, after in zip(*found, strict=True) if before), default=0.0)
 

@@ -37,10 +37,9 @@ class MeasureOnset(ElasticCell):
     largest of these, over a share of the solid's volume, are 1 or more. One point alone would be that of the sharpest
     corner of the staircase, and depend on the grid.
 
-    An ideally plastic solid bears more than this; a brittle one fails near it. Voxels are whole or void, as in
-    `crush.voxel`, unless `fractions` is `auto`: the solid of a partial voxel then has the voxel's strain. What fills
-    the void never yields. The table has a row for each axis and share. The spread over draws is that of a sweep over
-    seeds.
+    An ideally plastic solid bears more than this; a brittle one fails near it. The solid of a partial voxel has the
+    voxel's strain, and counts by its volume. What fills the void never yields. The table has a row for each axis and
+    share. The spread over draws is that of a sweep over seeds.
     """
 
     name: ClassVar[str] = "measure.onset"
@@ -51,11 +50,6 @@ class MeasureOnset(ElasticCell):
         Headline("onset", "onset of yield", "{unit}"), Headline("deviation", "its deviation over axes", "{unit}"),
     )  # fmt: skip
 
-    fractions: str = option(
-        "binary",
-        help="auto: voxels at the surface count by their solid fraction; binary: by their center",
-        choices=("auto", "binary"),
-    )
     yield_stress: float | tuple[float, ...] = option(
         1.0, help=f"yield stress, {options.EACH_PHASE}; 1: results are relative to it", above=0, maximum=1e15
     )
