@@ -1,6 +1,7 @@
 """The paper's eight structures of a solid that fails: onset of yield, strength, flatness and energy of each.
 
     python -m benchmarks.failure onset [DRAWS]               # stress at which 1 % of the solid yields; all axes
+    python -m benchmarks.failure bar                         # work of a bar with one weak voxel over that of a crack
     python -m benchmarks.failure crush ENERGY [CELLS [VOXELS [DRAWS [STRUCTURE...]]]]
 
 `crush` compresses blocks of CELLS^3 cells with VOXELS voxels along a cell and a fracture energy of ENERGY kJ/m2;
@@ -19,6 +20,9 @@ from typing import Any
 import numpy as np
 
 import sppm_pipeline as sppm
+from sppm_pipeline.features.crushing.numerics.body import body_of
+from sppm_pipeline.features.crushing.numerics.march import Load, March
+from sppm_pipeline.features.crushing.numerics.material import Material
 from sppm_pipeline.features.crushing.stages.crush_voxel import CrushVoxel
 from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -66,6 +70,20 @@ def onset(draws: int) -> None:
             values += axes
             first = first or ", ".join(f"{value:.2f}" for value in axes)
         print(f"| {structure} | {count} | {spread(values)} | {first} | {strength:.2f} |", flush=True)
+
+
+def bar() -> None:
+    """Work to failure, over section and fracture energy, of compressed bars one voxel wide with a weak one."""
+    print("| voxels | work over section and fracture energy | unbalanced |\n|---:|---:|---:|")
+    for n in (4, 8, 16, 32):
+        fracture = 1e-4 * n  # fracture energy 1e-4, height of the bar 1
+        weak, strong = (Material(1.0, 0.0, ((0.0, stress),), fracture) for stress in (0.02, 0.021))
+        image = np.ones((n, 1, 1), np.uint8)
+        image[n // 2] = 2
+        march = March(body_of(image), (strong, weak), Load(0.06, 0.002))
+        march.to(1)
+        share = march.shares()["unbalanced"]
+        print(f"| {n} | {march.history().work[-1] / fracture:.2f} | {share:.4f} |", flush=True)
 
 
 def crush(energy: float, cells: int = 3, voxels: int = 16, draws: int = 0, *only: str, **options: Any) -> None:
@@ -125,5 +143,7 @@ if __name__ == "__main__":
     what, *more = sys.argv[1:] or ["onset"]
     if what == "onset":
         onset(int(more[0]) if more else 5)
+    elif what == "bar":
+        bar()
     else:
         crush(float(more[0]), *map(int, more[1:4]), *more[4:])
