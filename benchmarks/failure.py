@@ -21,7 +21,8 @@ import numpy as np
 
 import sppm_pipeline as sppm
 from sppm_pipeline.features.crushing.numerics.body import body_of
-from sppm_pipeline.features.crushing.numerics.march import Load, March
+from sppm_pipeline.features.crushing.numerics.failing_march import FailingMarch
+from sppm_pipeline.features.crushing.numerics.march import Load
 from sppm_pipeline.features.crushing.numerics.material import Material
 from sppm_pipeline.features.crushing.stages.crush_voxel import CrushVoxel
 from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset
@@ -80,7 +81,7 @@ def bar() -> None:
         weak, strong = (Material(1.0, 0.0, ((0.0, stress),), fracture) for stress in (0.02, 0.021))
         image = np.ones((n, 1, 1), np.uint8)
         image[n // 2] = 2
-        march = March(body_of(image), (strong, weak), Load(0.06, 0.002))
+        march = FailingMarch(body_of(image), (strong, weak), Load(0.06, 0.002))
         march.to(1)
         share = march.shares()["unbalanced"]
         print(f"| {n} | {march.history().work[-1] / fracture:.2f} | {share:.4f} |", flush=True)

@@ -7,14 +7,22 @@ import math
 import time
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, DesignError, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.features.crushing.compression import CrushedBody
-from sppm_pipeline.features.crushing.crush_report import PLATEAU, Table, is_quiet, mean_stress, numbers_of, warnings_of
+from sppm_pipeline.features.crushing.crush_report import Table, change_between, is_quiet, numbers_of, warnings_of
+from sppm_pipeline.features.crushing.voxel_block import (
+    PERMUTED,
+    Frame,
+    binary_image,
+    frame_of,
+    loose_pieces,
+    turned_corner,
+)
 from sppm_pipeline.numerics import per_phase
 
 if TYPE_CHECKING:
@@ -35,21 +43,9 @@ Slender struts have no time to bow at this rate: a bowed column of 4 x 4 x 48 vo
 eighth of it, and is 12 times as long as wide. Struts of a cubic lattice of this density, with 3 r^2 - 2 r^3 = 0.2 for
 r the width over the spacing of nodes, are 3.5 times as long as wide from node to node."""
 
-PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
-"""Axes of an image z, y, x in the order that turns the axis of compression into the first."""
-
 STRIDE, PAUSE = 0.02, 20.0
 """Strains between states from which an interrupted run can go on, and seconds between those that are written:
 heuristics. A factor of two changes how much an interruption costs, not the result."""
-
-
-class Frame(NamedTuple):
-    """Strain, positions of the nodes, plastic strain of the elements and which of them have failed."""
-
-    strain: float
-    nodes: NDArray[np.float32]
-    alpha: NDArray[np.float32]
-    released: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,7 +263,7 @@ class Crusher(Stage):
                 continue
             # the rate of all but slender structures: one run is enough
             usual = self.rate is None and rate == USUAL and made.numbers["relative_density"] >= MIN_DENSITY
-            change = _change(last, made, self.failure != "none") if last is not None else math.nan
+            change = change_between(last, made, self.failure != "none") if last is not None else math.nan
             if change < MAX_CHANGE or (usual and is_quiet(made.numbers)):
                 return made
         assert made is not None
@@ -295,7 +291,7 @@ class Crusher(Stage):
         else:
             if coarse := source.coarseness(1 / self.resolution):
                 context.warn(coarse)
-            image = _binary(source, self.resolution, context.threads)
+            image = binary_image(source, self.resolution, context.threads)
             spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
         if (phases := int(image.max())) > len(self._young()):
             raise DesignError(
@@ -311,6 +307,7 @@ class Crusher(Stage):
     ) -> CrushedBody:
         """Crush at one rate."""
         from sppm_pipeline.features.crushing.numerics.body import body_of
+        from sppm_pipeline.features.crushing.numerics.failing_march import FailingMarch
         from sppm_pipeline.features.crushing.numerics.march import Load, March
 
         # the march compresses along the first axis
@@ -322,12 +319,13 @@ class Crusher(Stage):
                 f"the block touches no plate at an end: it begins {first} voxels above the lower and ends "
                 f"{len(turned) - last} below the upper one; plates and height are taken where the solid is"
             )
-        warnings = _loose(turned[first:last])
+        warnings = loose_pieces(turned[first:last])
         body = body_of(turned[first:last], confined=self.sides == "confined")
         plates = {"slip": 0.0, "stick": -1.0, "friction": self.friction}[self.plates]
         load = Load(self.strain, rate, plates, self.sides == "confined", self.friction, self.rubble == "keep")
         materials = self._materials(spacing)
-        march = March(body, materials, load, context.threads)
+        make = March if self.failure == "none" else FailingMarch
+        march = make(body, materials, load, context.threads)
         kept, failed = self._marched(context, march, materials)
         context.report(steps=march.step, elements=len(body.corners))
         if failed is not None:
@@ -359,7 +357,7 @@ class Crusher(Stage):
         if state is not None and state["strain"] <= self.strain:
             march.resume(state["march"])
             found = [Frame(*frame) for frame in state["frames"]]
-        state, last = None, _frame(march)
+        state, last = None, frame_of(march)
         saved = time.monotonic()
 
         def report_progress(strain: float) -> None:
@@ -370,7 +368,7 @@ class Crusher(Stage):
                 if march.step and stop <= march.strain + 1e-6:
                     continue
                 march.to(stop, report_progress)
-                last = _frame(march)
+                last = frame_of(march)
                 if stop in frames:
                     found.append(last)
                 if stop in strides:
@@ -411,7 +409,7 @@ class Crusher(Stage):
         # places and positions of the turned block back to x, y, z
         back = [(2, 0, 1), (1, 2, 0), (0, 1, 2)][axis]
         lift = np.array([0, 0, first])
-        columns = [_corner(c, axis) for c in range(8)]
+        columns = [turned_corner(c, axis) for c in range(8)]
         size = spacing if physical else None
         solid = np.count_nonzero(image) / image[0].size / len(image)
         return CrushedBody(
@@ -440,57 +438,3 @@ class Crusher(Stage):
             if self.failure == "none"
             else np.stack([frame.released for frame in kept]),
         )
-
-
-def _frame(march: March) -> Frame:
-    return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32), march.released)
-
-
-def _change(one: CrushedBody, other: CrushedBody, fails: bool) -> float:
-    """Largest relative difference of plateau stress (of a short run, of its second half), highest stress, and work.
-
-    If the solid fails, that of the highest stress alone: which piece breaks next depends on everything.
-    """
-    end = float(min(one.strain[-1], other.strain[-1]))
-    found: list[tuple[float, ...]] = []
-    for body in (one, other):
-        highest = float(body.stress[body.strain <= PLATEAU[0]].max())
-        if fails:
-            found.append((highest,))
-            continue
-        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
-        found.append((level, highest, float(np.interp(end, body.strain, body.energies["external"]))))
-    return max((abs(after / before - 1) for before, after in zip(*found, strict=True) if before), default=0.0)
-
-
-def _corner(column: int, axis: int) -> int:
-    """The corner of a turned voxel that is at the upper end along x, y, z where bits 0, 1, 2 of `column` are set."""
-    low = [1 - (column >> c & 1) for c in range(3)]
-    x, y, z = low if axis == 2 else (low[1], low[2], low[0]) if axis == 0 else (low[2], low[0], low[1])
-    return x + 2 * y + 4 * z
-
-
-def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
-    """Whole voxels of a field, (nz, ny, nx), cut at the level at which they have the density of a finer grid."""
-    values = field.sample(resolution, threads).T
-    density = float(field.solid(2 * resolution, threads).mean(dtype=np.float64))
-    count = round(density * values.size)
-    if not count:
-        return np.zeros(values.shape, np.uint8)
-    # voxels of one value go together, so that symmetry stays
-    most = np.partition(values.reshape(-1), count - 1)[count - 1]
-    with_them, without = values <= most, values < most
-    fewer = count - np.count_nonzero(without) < np.count_nonzero(with_them) - count
-    return np.asarray(without if fewer and without.any() else with_them).view(np.uint8)
-
-
-def _loose(image: NDArray[np.uint8]) -> list[str]:
-    """Warnings for solid that carries nothing."""
-    from sppm_pipeline.numerics import find_components
-
-    found = find_components((image > 0).view(np.uint8), (False,) * 3, 6)
-    spanning = found.faces[:, 4] & found.faces[:, 5]
-    if not spanning.any():
-        return ["no load path between the plates: the force is zero until pieces meet"]
-    loose = float(found.sizes[~spanning].sum() / found.sizes.sum())
-    return [f"{loose:.2g} of the solid is not connected to the load path between the plates"] if loose else []

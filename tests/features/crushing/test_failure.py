@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.crushing.numerics import element
 from sppm_pipeline.features.crushing.numerics.body import body_of
-from sppm_pipeline.features.crushing.numerics.march import Load, March
+from sppm_pipeline.features.crushing.numerics.failing_march import FailingMarch
+from sppm_pipeline.features.crushing.numerics.march import Load
 from sppm_pipeline.features.crushing.numerics.material import RELEASED, Material, constants, failing
 from sppm_pipeline.features.crushing.stages.crush_voxel import CrushVoxel
 from sppm_pipeline.method.nouns.voxels import Voxels
@@ -25,7 +26,7 @@ def image(values, spacing=1.0, physical=False):
 
 
 def run(values, materials, load, threads=1):
-    march = March(body_of(values), materials, load, threads)
+    march = FailingMarch(body_of(values), materials, load, threads)
     march.to(1)
     march.close()
     return march
@@ -143,14 +144,14 @@ def test_threads_and_interruptions_leave_no_trace_of_rubble(cell):
     material = SOFT._replace(strength=0.012)
 
     def marched(threads):
-        march = March(body_of(cell), (material,), load, threads)
+        march = FailingMarch(body_of(cell), (material,), load, threads)
         march.to(0.07)
         return march, march.kept()
 
     (first, kept), (other, _) = marched(2), marched(3)
     first.close()
     assert first.released.sum() > 30
-    then = March(body_of(cell), (material,), load)
+    then = FailingMarch(body_of(cell), (material,), load)
     then.resume({name: value.copy() for name, value in kept.items()})
     for march in (then, other):
         march.to(0.1)
@@ -183,7 +184,7 @@ def test_a_hole_cracks_where_its_rim_is_pulled():
     z, _, x = np.indices((24, 2, 24)) + 0.5
     values = (np.hypot(x - 12, z - 12) > 4).astype(np.uint8)
     brittle = Material(1.0, 0.2, (), 2e-4, 0.008)
-    march = March(body_of(values), (brittle,), Load(0.03, 0.005))
+    march = FailingMarch(body_of(values), (brittle,), Load(0.03, 0.005))
     while not march.released.any() and march.strain < 0.03:
         march.to(march.strain + 1e-4)
     first = march.body.voxels[march.released] + 0.5
