@@ -2,6 +2,7 @@
 
     python -m benchmarks.failure onset [DRAWS]               # stress at which 1 % of the solid yields; all axes
     python -m benchmarks.failure bar                         # work of a bar with one weak voxel over that of a crack
+    python -m benchmarks.failure disk                        # load that splits a disk, over the closed form
     python -m benchmarks.failure crush ENERGY [CELLS [VOXELS [DRAWS [STRUCTURE...]]]]
 
 `crush` compresses blocks of CELLS^3 cells with VOXELS voxels along a cell and a fracture energy of ENERGY kJ/m2;
@@ -87,14 +88,26 @@ def bar() -> None:
         print(f"| {n} | {march.history().work[-1] / fracture:.2f} | {share:.4f} |", flush=True)
 
 
+def disk() -> None:
+    """Load of a brittle disk between plates over pi / 2 times strength, diameter and thickness (the Brazilian test)."""
+    print("| voxels along the diameter | load over closed form | unbalanced |\n|---:|---:|---:|")
+    for n in (16, 24, 32, 48):
+        z, _, x = np.indices((n, 2, n)) + 0.5
+        image = (np.hypot(x - n / 2, z - n / 2) < n / 2).astype(np.uint8)
+        march = FailingMarch(body_of(image), (Material(1.0, 0.2, (), 3e-5 * n, 0.01),), Load(0.046, 0.002, -1.0))
+        march.to(1)
+        load = march.history().top.max() / (2 * n) / (np.pi / 2 * 0.01)
+        print(f"| {n} | {load:.2f} | {march.shares()['unbalanced']:.4f} |", flush=True)
+
+
 def crush(energy: float, cells: int = 3, voxels: int = 16, draws: int = 0, *only: str, **options: Any) -> None:
     """A table of strengths and energies."""
     failing = {"failure": "j2", "fracture_energy": energy} if energy > 0 else {}
     print(f"{cells}^3 cells of {voxels}^3 voxels, fracture energy {energy} kJ/m2, {options}")
     print(
-        "| structure | runs | density | highest up to 20 % / MPa | at strain | paper | stress at 5 / 10 / 20 / 30 / 40 % "
-        "| lowest, highest over mean, 5-40 % | W to 25 % / MJ/m3 | to 40 % | released | failed | damping | unbalanced "
-        "| CPU-s |"
+        "| structure | runs | density | highest up to 20 % / MPa | at strain | paper "
+        "| stress at 5 / 10 / 20 / 30 / 40 % | lowest, highest over mean, 5-40 % | W to 25 % / MJ/m3 | to 40 % "
+        "| released | failed | damping | unbalanced | CPU-s |"
     )
     print("|---|---:|---:|---:|---:|---:|---|---|---:|---:|---:|---:|---:|---:|---:|")
     for structure, (strength, _, _) in PAPER.items():
@@ -145,7 +158,7 @@ if __name__ == "__main__":
     what, *more = sys.argv[1:] or ["onset"]
     if what == "onset":
         onset(int(more[0]) if more else 5)
-    elif what == "bar":
-        bar()
+    elif what in ("bar", "disk"):
+        {"bar": bar, "disk": disk}[what]()
     else:
         crush(float(more[0]), *map(int, more[1:4]), *more[4:])
