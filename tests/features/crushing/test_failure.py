@@ -63,15 +63,12 @@ class Voxel:
         return stress, sums
 
 
-@pytest.mark.parametrize("way", [-1, 1])
-@pytest.mark.parametrize("how", ["j2", "rankine"])
+@pytest.mark.parametrize(("how", "way"), [("j2", -1), ("j2", 1), ("rankine", 1)])
 @pytest.mark.parametrize("n", [4, 8, 16, 32])
 def test_a_bar_takes_the_same_work_however_many_voxels_it_has(how, way, n):
     """Of n voxels one is weak and fails; the others unload, so that the work is that of the crack."""
     energy = 2e-4  # per area, in Young's moduli times the length of the bar
     if how == "rankine":
-        if way < 0:
-            pytest.skip("nothing cracks under compression of a bar")
         material = Material(1.0, 0.35, (), energy * n, 0.02)
     else:
         material = RESIN._replace(fracture=energy * n)
@@ -125,17 +122,16 @@ def test_what_cannot_fail_has_the_bytes_of_a_plastic_solid(cell, plastic):
 
 @pytest.mark.parametrize("rubble", [False, True])
 @pytest.mark.parametrize("how", ["j2", "both"])
-def test_energy_is_balanced_while_voxels_fail(cell, how, rubble):
+def test_energy_is_balanced_while_voxels_fail(cell, crushed, how, rubble):
     material = SOFT if how == "j2" else SOFT._replace(strength=0.012)
-    march = run(cell, (material,), Load(0.3, 0.005, rubble=rubble))
+    march = run(cell, (material,), Load(0.25, 0.005, rubble=rubble))
     shares = march.shares()
     assert march.released.sum() > 30
     assert abs(shares["unbalanced"]) < 5e-3
     assert shares["failed"] < 0.1
-    plastic = run(cell, (RESIN,), Load(0.3, 0.005)).history()
-    history = march.history()
+    history, plastic = march.history(), crushed.history()
     late = history.strain > 0.1
-    assert history.top[late].mean() < 0.6 * plastic.top[late].mean()
+    assert history.top[late].mean() < 0.6 * np.interp(history.strain[late], plastic.strain, plastic.top).mean()
     assert march.fragments() > 1
 
 
@@ -179,8 +175,9 @@ def test_what_a_crack_has_parted_meets_again():
     assert abs(march.shares()["unbalanced"]) < 5e-3
 
 
-def test_a_disk_between_plates_splits_along_its_diameter(n=24):
+def test_a_disk_between_plates_splits_along_its_diameter():
     """The Brazilian test: tension across the loaded diameter is 2 / pi of the load over diameter and thickness."""
+    n = 24
     z, _, x = np.indices((n, 2, n)) + 0.5
     values = (np.hypot(x - n / 2, z - n / 2) < n / 2).astype(np.uint8)
     brittle = Material(1.0, 0.2, (), 3e-5 * n, 0.01)
