@@ -60,8 +60,8 @@ def spread(values: Sequence[float], digits: int = 2) -> str:
 
 def onset(draws: int) -> None:
     """A table of the stress at which 1 % of the solid yields, over axes and draws."""
-    print("| structure | draws | onset / MPa | x, y, z of the first draw | paper's strength / MPa |")
-    print("|---|---:|---:|---|---:|")
+    print("| structure | draws | onset / MPa | x, y, z of the first draw | paper's strength / MPa | over onset |")
+    print("|---|---:|---:|---|---:|---:|")
     for structure, (strength, _, _) in PAPER.items():
         values, first = [], ""
         count = draws if is_stochastic(structure) else 1
@@ -71,7 +71,8 @@ def onset(draws: int) -> None:
             axes = [context.reported[axis] for axis in "xyz"]
             values += axes
             first = first or ", ".join(f"{value:.2f}" for value in axes)
-        print(f"| {structure} | {count} | {spread(values)} | {first} | {strength:.2f} |", flush=True)
+        over = f"{strength:.2f} | {strength / np.mean(values):.2f}"
+        print(f"| {structure} | {count} | {spread(values)} | {first} | {over} |", flush=True)
 
 
 def bar() -> None:
