@@ -131,6 +131,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "mesh.isosurface_stuffing": (REPEATED, "resolution: 8", []),
     "mesh.boundary": (VOLUME, "", []),
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
+    "measure.onset": (REPEATED, "resolution: 6", []),
     "homogenize.conductivity": (REPEATED, "resolution: 6", []),
     "homogenize.permeability": (REPEATED, "resolution: 6", []),
     "homogenize.acoustics": (REPEATED, "resolution: 6, cell: 5 mm", []),

@@ -138,6 +138,8 @@ class CrushedBody(CompressionCurve):
         Positions of the nodes in each frame, in the unit of `spacing`, from the lower corner of the undeformed block.
     frame_alpha : (f, m) float32
         Accumulated plastic strain of each voxel in each frame; 0 for an elastic solid.
+    frame_released : (f, m) bool
+        Which voxels have failed in each frame; (0, 0) where none can.
     """
 
     grid: tuple[int, int, int] = field(default=(0, 0, 0), metadata=number("#3"))
@@ -150,6 +152,7 @@ class CrushedBody(CompressionCurve):
     frame_strains: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     frame_nodes: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
     frame_alpha: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    frame_released: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), bool))
 
     @reports("voxels", "nodes", "frames.*", "plastic_strain_max")
     def _sizes(self) -> tuple[Any, ...]:
@@ -169,6 +172,7 @@ class CrushedBody(CompressionCurve):
         shapes = {
             "voxels": (m, 3), "phases": (m,), "elements": (m, 8), "frame_strains": (f,),
             "frame_nodes": (f, self.nodes, 3), "frame_alpha": (f, m),
+            "frame_released": (f, m) if self.frame_released.size else (0, 0),
         }  # fmt: skip
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -192,5 +196,5 @@ class CrushedBody(CompressionCurve):
 
 _BODY: Mapping[str, Any] = {
     "voxels": np.int32, "phases": np.uint8, "elements": np.int32, "frame_strains": np.float64,
-    "frame_nodes": np.float32, "frame_alpha": np.float32,
+    "frame_nodes": np.float32, "frame_alpha": np.float32, "frame_released": np.bool_,
 }  # fmt: skip

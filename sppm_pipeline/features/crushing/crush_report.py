@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from sppm_pipeline.features.crushing.compression import CrushedBody
     from sppm_pipeline.features.crushing.numerics.march import History, March
 
 Table = tuple[tuple[float, float], ...]
@@ -54,6 +55,7 @@ def numbers_of(history: History, march: March, area: float, rate: float, young: 
         **{name: round(float(share), 6) for name, share in march.shares().items()},
         "plates_differ": round(float(difference / max(np.abs(history.top[later]).mean(), 1e-300)), 6),
         "added_mass": round(march.added_mass, 6),
+        **({"released": round(float(march.released.mean()), 6), "fragments": march.fragments()} if march.fails else {}),
     }
 
 
@@ -78,3 +80,20 @@ def warnings_of(numbers: Mapping[str, Any], tables: tuple[Table, ...]) -> list[s
     if any(b[1] < a[1] for table in tables for a, b in pairwise(table)):
         found.append("the solid softens: strain gathers in single voxels, so that the result depends on `resolution`")
     return found
+
+
+def change_between(one: CrushedBody, other: CrushedBody, fails: bool) -> float:
+    """Largest relative difference of plateau stress (of a short run, of its second half), highest stress, and work.
+
+    If the solid fails, that of the highest stress alone: which piece breaks next depends on everything.
+    """
+    end = float(min(one.strain[-1], other.strain[-1]))
+    found: list[tuple[float, ...]] = []
+    for body in (one, other):
+        highest = float(body.stress[body.strain <= PLATEAU[0]].max())
+        if fails:
+            found.append((highest,))
+            continue
+        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
+        found.append((level, highest, float(np.interp(end, body.strain, body.energies["external"]))))
+    return max((abs(after / before - 1) for before, after in zip(*found, strict=True) if before), default=0.0)

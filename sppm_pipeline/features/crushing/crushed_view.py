@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,7 @@ def frame_pictures(
     frames: NDArray[np.float32],
     colors: Iterator[NDArray[np.uint8]],
     *,
+    released: NDArray[np.bool_] | None = None,
     axis: str,
     camera: Camera,
     size: tuple[int, int],
@@ -48,22 +50,30 @@ def frame_pictures(
 ) -> Iterator[NDArray[np.uint8]]:
     """A picture (height, width, 3) of each frame, all at one scale, the axis of compression upright.
 
-    `frames` (f, p, 3) are positions of the nodes, `colors` those of the voxels (m, 3), frame by frame; the camera is
-    in the turned axes. `section` is the share of the undeformed block that is kept, along the second of the turned
-    axes, the far side; a layer of voxels at least.
+    `frames` (f, p, 3) are positions of the nodes, `colors` those of the voxels (m, 3), frame by frame; `released`
+    (f, m) says which voxels have failed and are not drawn, if any can. The camera is in the turned axes. `section` is
+    the share of the undeformed block that is kept, along the second of the turned axes, the far side; a layer of voxels
+    at least.
     """
     turned = list(UPRIGHT[axis])
     kept = np.ones(len(voxels), bool)
     if section is not None:
         along = voxels[:, turned[1]]
         kept = along >= min((1 - section) * grid[turned[1]] - 0.5, along.max())  # the farthest layer at least
-    triangles, owners = exposed_triangles(voxels[kept], grid, elements[kept])
-    nodes, faces = np.unique(triangles, return_inverse=True)
-    faces = faces.reshape(triangles.shape)
-    shown = frames[:, nodes][..., turned].astype(np.float64)
-    low, high = shown.min(axis=(0, 1)), shown.max(axis=(0, 1))
+    shown = [kept] * len(frames) if released is None or not len(released) else [kept & ~gone for gone in released]
+    drawn: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
+    for number, here in enumerate(shown):
+        if number and np.array_equal(here, shown[number - 1]):
+            drawn.append(drawn[-1])
+            continue
+        triangles, owners = exposed_triangles(voxels[here], grid, elements[here])
+        nodes, faces = np.unique(triangles, return_inverse=True)
+        drawn.append((nodes, faces.reshape(triangles.shape), np.flatnonzero(here)[owners]))
+    positions = [frame[nodes][:, turned].astype(np.float64) for frame, (nodes, _, _) in zip(frames, drawn, strict=True)]
+    every = np.concatenate(positions)
+    low, high = every.min(axis=0), every.max(axis=0)
     # the corners of a box around all frames belong to no triangle: they hold the view still
     corners = np.array([[(low, high)[(c >> a) & 1][a] for a in range(3)] for c in range(8)])
-    for positions, color in zip(shown, colors, strict=True):
-        points = np.concatenate([positions, corners])
-        yield render_mesh(points, faces, camera=camera, size=size, face_colors=color[kept][owners])
+    for here, (_, faces, owners), color in zip(positions, drawn, colors, strict=True):
+        points = np.concatenate([here, corners])
+        yield render_mesh(points, faces, camera=camera, size=size, face_colors=color[owners])

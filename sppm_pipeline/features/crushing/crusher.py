@@ -7,14 +7,23 @@ import math
 import time
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, DesignError, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.features.crushing.compression import CrushedBody
-from sppm_pipeline.features.crushing.crush_report import PLATEAU, Table, is_quiet, mean_stress, numbers_of, warnings_of
+from sppm_pipeline.features.crushing.crush_report import Table, change_between, is_quiet, numbers_of, warnings_of
+from sppm_pipeline.features.crushing.voxel_block import (
+    PERMUTED,
+    Frame,
+    binary_image,
+    frame_of,
+    loose_pieces,
+    turned_corner,
+)
+from sppm_pipeline.numerics import per_phase
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.crushing.numerics.body import Body
@@ -25,7 +34,8 @@ AUTO = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 """Rates that `auto` tries."""
 
 MAX_CHANGE = 0.02
-"""Change of plateau stress, highest stress before it, and work by the last halving of the rate that ends `auto`."""
+"""Change of plateau stress, highest stress before it, and work by the last halving of the rate that ends `auto`; if the
+solid fails, of the highest stress alone."""
 
 USUAL, MIN_DENSITY = 0.01, 0.2
 """Rate that is tried first, and the only one if the solid fills as much as this and the balance of energy is quiet.
@@ -33,20 +43,9 @@ Slender struts have no time to bow at this rate: a bowed column of 4 x 4 x 48 vo
 eighth of it, and is 12 times as long as wide. Struts of a cubic lattice of this density, with 3 r^2 - 2 r^3 = 0.2 for
 r the width over the spacing of nodes, are 3.5 times as long as wide from node to node."""
 
-PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
-"""Axes of an image z, y, x in the order that turns the axis of compression into the first."""
-
 STRIDE, PAUSE = 0.02, 20.0
 """Strains between states from which an interrupted run can go on, and seconds between those that are written:
 heuristics. A factor of two changes how much an interruption costs, not the result."""
-
-
-class Frame(NamedTuple):
-    """Strain, positions of the nodes and plastic strain of the elements."""
-
-    strain: float
-    nodes: NDArray[np.float32]
-    alpha: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +83,24 @@ class Crusher(Stage):
         minimum=0,
         maximum=1e15,
     )
+    failure: str = option(
+        "none",
+        help="how the solid fails: j2, its yield stress falls beyond the last plastic strain of its table; rankine, it "
+        "cracks where the largest principal stress reaches `tensile_strength`; or both",
+        choices=("none", "j2", "rankine", "both"),
+    )
+    fracture_energy: float | tuple[float, ...] | None = option(
+        None, help=f"work to failure per area of a crack, {options.EACH_PHASE}; in `stress_unit` times mm, which is "
+        "kJ/m2 for MPa, or times cell sizes where the cell has no size in mm", above=0, maximum=1e15,
+    )  # fmt: skip
+    tensile_strength: float | tuple[float, ...] | None = option(
+        None, help=f"stress at which the solid cracks, {options.EACH_PHASE}; the first yield stress if omitted",
+        above=0, maximum=1e15,
+    )  # fmt: skip
+    rubble: str = option(
+        "drop", help="whether nodes of failed voxels leave, or stay as points of mass that contact pushes",
+        choices=("drop", "keep"),
+    )  # fmt: skip
     stress_unit: str = options.stress_unit("relative")
     solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
     frames: tuple[float, ...] = option(
@@ -107,6 +124,45 @@ class Crusher(Stage):
                     f"`yield_stress` has {stresses} beside a Young's modulus of {modulus:g}",
                     hint="give both in the same unit; yield stresses lie above 0 and below half of the modulus",
                 )
+        self._check_failure(young, tables)
+
+    def _check_failure(self, young: tuple[float, ...], tables: tuple[Table, ...]) -> None:
+        """What failure needs, and nothing that only failure uses without it."""
+        if self.failure == "none":
+            for name in ("fracture_energy", "tensile_strength"):
+                if getattr(self, name) is not None:
+                    raise ConfigError(
+                        f"`{name}` is of no use with `failure: none`", hint="write `failure: j2`, `rankine` or `both`"
+                    )
+            return
+        if self.fracture_energy is None:
+            raise ConfigError(f"`failure: {self.failure}` needs a `fracture_energy`")
+        for name in ("fracture_energy", "tensile_strength"):
+            if len(per_phase(getattr(self, name))) not in (0, 1, len(young)):
+                raise ConfigError(
+                    f"`{name}` has {len(per_phase(getattr(self, name)))} values, and `young` {len(young)}",
+                    hint="give one, or one for every phase",
+                )
+        if self.failure == "j2" and self.tensile_strength is not None:
+            raise ConfigError("`tensile_strength` is of no use with `failure: j2`", hint="write `failure: both`")
+        if self.failure != "rankine":
+            if not any(tables):
+                raise ConfigError(
+                    f"`failure: {self.failure}` needs a `yield_stress`", hint="an elastic solid fails by `rankine`"
+                )
+            for table in tables:
+                if any(b[1] < a[1] for a, b in pairwise(table)):
+                    raise ConfigError(
+                        f"`yield_stress` falls: {[row[1] for row in table]}",
+                        hint="leave out what falls: the solid softens by its `fracture_energy`",
+                    )
+        strengths = self._strengths()
+        if self.failure != "j2" and any(not 0 < f <= e / 2 for f, e in zip(strengths, young, strict=True)):
+            raise ConfigError(
+                f"`tensile_strength` is {strengths} (of a solid that does not yield it must be given) beside Young's "
+                f"moduli {young}",
+                hint="give both in the same unit; it lies above 0 and below half of the modulus",
+            )
 
     def _young(self) -> tuple[float, ...]:
         return self.young if isinstance(self.young, tuple) else (self.young,)
@@ -124,13 +180,50 @@ class Crusher(Stage):
         tables: tuple[Table, ...] = (given,) if flat else given
         return tables * len(self._young()) if len(tables) == 1 else tables
 
-    def _materials(self) -> tuple[Material, ...]:
+    def _strengths(self) -> tuple[float, ...]:
+        """Tensile strength of each phase."""
+        given = per_phase(self.tensile_strength)
+        if given:
+            return given * len(self._young()) if len(given) == 1 else given
+        return tuple(table[0][1] if table else math.inf for table in self._tables())
+
+    def _materials(self, edge: float) -> tuple[Material, ...]:
+        """Material of each phase in voxels with this edge, mm or cell sizes."""
         from sppm_pipeline.features.crushing.numerics.material import Material
 
-        return tuple(map(Material, self._young(), self._poisson(), self._tables()))
+        made = tuple(map(Material, self._young(), self._poisson(), self._tables()))
+        if self.failure == "none":
+            return made
+        energies = per_phase(self.fracture_energy)
+        energies = energies * len(made) if len(energies) == 1 else energies
+        softens, cracks = self.failure != "rankine", self.failure != "j2"
+        return tuple(
+            one._replace(fracture=energy / edge, strength=strength if cracks else math.inf, softens=softens)
+            for one, energy, strength in zip(made, energies, self._strengths(), strict=True)
+        )
+
+    def _check_snap_back(self, edge: float, cell: float | None, unit: str) -> None:
+        """Refuse voxels so large that the energy which one stores is more than a crack through it takes.
+
+        `edge` is that of a voxel, `cell` that of a cell, if a resolution can be named; both in `unit`.
+        """
+        if self.failure == "none":
+            return
+        largest = min(edge * m.fracture / m.least_fracture for m in self._materials(edge) if m.least_fracture > 0)
+        if edge > largest:
+            fine = "" if cell is None else f"`resolution: {math.ceil(cell / largest)}`, "
+            raise ConfigError(
+                f"voxels of {edge:.4g} {unit} store more energy than `fracture_energy: {self.fracture_energy}` takes "
+                f"up: their stress would snap back; the largest that are allowed have {largest:.4g} {unit}",
+                hint=f"write {fine}or a larger `fracture_energy`" if fine else "give a finer image, or a larger energy",
+            )
 
     def crushing(self, source: Size) -> Size:
-        """Elements times steps."""
+        """Elements times steps; voxels too large for the way in which the solid fails are refused."""
+        if source.geometry and not source.voxels:
+            cell = source.geometry.edge_mm or 1.0
+            unit = "mm" if source.geometry.edge_mm else "cell sizes"
+            self._check_snap_back(cell / self.resolution, cell, unit)
         grid = Size(voxels=source.voxels) if source.voxels else source.grid(self.resolution)
         voxels = source.voxels or grid.samples
         solid = 1 - (source.geometry.porosity if source.geometry else 0.5)
@@ -152,6 +245,8 @@ class Crusher(Stage):
     def crush(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
         """Crush, at lower and lower rates until that changes nothing unless the rate is given."""
         image, spacing, physical = self._image(context, source)
+        cell = None if isinstance(source, Voxels) else spacing * self.resolution
+        self._check_snap_back(spacing, cell, "mm" if physical else "cell sizes")
         rates = self._rates()
         if len(rates) == 1:
             return self._crushed(context, image, spacing, physical, rates[0])
@@ -168,7 +263,7 @@ class Crusher(Stage):
                 continue
             # the rate of all but slender structures: one run is enough
             usual = self.rate is None and rate == USUAL and made.numbers["relative_density"] >= MIN_DENSITY
-            change = _change(last, made) if last is not None else math.nan
+            change = change_between(last, made, self.failure != "none") if last is not None else math.nan
             if change < MAX_CHANGE or (usual and is_quiet(made.numbers)):
                 return made
         assert made is not None
@@ -196,7 +291,7 @@ class Crusher(Stage):
         else:
             if coarse := source.coarseness(1 / self.resolution):
                 context.warn(coarse)
-            image = _binary(source, self.resolution, context.threads)
+            image = binary_image(source, self.resolution, context.threads)
             spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
         if (phases := int(image.max())) > len(self._young()):
             raise DesignError(
@@ -212,6 +307,7 @@ class Crusher(Stage):
     ) -> CrushedBody:
         """Crush at one rate."""
         from sppm_pipeline.features.crushing.numerics.body import body_of
+        from sppm_pipeline.features.crushing.numerics.failing_march import FailingMarch
         from sppm_pipeline.features.crushing.numerics.march import Load, March
 
         # the march compresses along the first axis
@@ -223,12 +319,14 @@ class Crusher(Stage):
                 f"the block touches no plate at an end: it begins {first} voxels above the lower and ends "
                 f"{len(turned) - last} below the upper one; plates and height are taken where the solid is"
             )
-        warnings = _loose(turned[first:last])
+        warnings = loose_pieces(turned[first:last])
         body = body_of(turned[first:last], confined=self.sides == "confined")
         plates = {"slip": 0.0, "stick": -1.0, "friction": self.friction}[self.plates]
-        load = Load(self.strain, rate, plates, self.sides == "confined", self.friction)
-        march = March(body, self._materials(), load, context.threads)
-        kept, failed = self._marched(context, march)
+        load = Load(self.strain, rate, plates, self.sides == "confined", self.friction, self.rubble == "keep")
+        materials = self._materials(spacing)
+        make = March if self.failure == "none" else FailingMarch
+        march = make(body, materials, load, context.threads)
+        kept, failed = self._marched(context, march, materials)
         context.report(steps=march.step, elements=len(body.corners))
         if failed is not None:
             context.warn(f"the simulation stopped: {failed}; its curve ends there")
@@ -240,7 +338,9 @@ class Crusher(Stage):
             context.warn(warning)
         return self._result(body, history, kept, numbers, image, spacing, physical, first, failed.why if failed else "")
 
-    def _marched(self, context: Context, march: March) -> tuple[list[Frame], Failed | None]:
+    def _marched(
+        self, context: Context, march: March, materials: tuple[Material, ...]
+    ) -> tuple[list[Frame], Failed | None]:
         """The frames of a march that goes on where an interrupted run has left it, and why it ended early."""
         from sppm_pipeline.features.crushing.numerics.march import Failed
 
@@ -249,7 +349,7 @@ class Crusher(Stage):
         # the march, whose contacts are searched again at each; a run that was interrupted may end where it was
         strides = {round(step * STRIDE, 9) for step in range(1, int(self.strain / STRIDE) + 1)} - {self.strain}
         # a state belongs to all that changes the march or its frames, but for the strain at its end
-        described = repr((self._materials(), march.load._replace(strain=0.0), self.frames, march.body.shape))
+        described = repr((materials, march.load._replace(strain=0.0), self.frames, march.body.shape))
         content = described.encode() + march.body.voxels.tobytes() + march.body.phases.tobytes()
         key = hashlib.sha256(content).hexdigest()
         found: list[Frame] = []
@@ -257,7 +357,7 @@ class Crusher(Stage):
         if state is not None and state["strain"] <= self.strain:
             march.resume(state["march"])
             found = [Frame(*frame) for frame in state["frames"]]
-        state, last = None, _frame(march)
+        state, last = None, frame_of(march)
         saved = time.monotonic()
 
         def report_progress(strain: float) -> None:
@@ -268,7 +368,7 @@ class Crusher(Stage):
                 if march.step and stop <= march.strain + 1e-6:
                     continue
                 march.to(stop, report_progress)
-                last = _frame(march)
+                last = frame_of(march)
                 if stop in frames:
                     found.append(last)
                 if stop in strides:
@@ -309,7 +409,7 @@ class Crusher(Stage):
         # places and positions of the turned block back to x, y, z
         back = [(2, 0, 1), (1, 2, 0), (0, 1, 2)][axis]
         lift = np.array([0, 0, first])
-        columns = [_corner(c, axis) for c in range(8)]
+        columns = [turned_corner(c, axis) for c in range(8)]
         size = spacing if physical else None
         solid = np.count_nonzero(image) / image[0].size / len(image)
         return CrushedBody(
@@ -334,52 +434,7 @@ class Crusher(Stage):
             frame_strains=np.array([frame.strain for frame in kept]),
             frame_nodes=np.stack([((frame.nodes + lift) * spacing)[:, back] for frame in kept]),
             frame_alpha=np.stack([frame.alpha for frame in kept]),
+            frame_released=np.zeros((0, 0), bool)
+            if self.failure == "none"
+            else np.stack([frame.released for frame in kept]),
         )
-
-
-def _frame(march: March) -> Frame:
-    return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32))
-
-
-def _change(one: CrushedBody, other: CrushedBody) -> float:
-    """Largest relative difference of plateau stress (of a short run, of its second half), highest stress, and work."""
-    end = float(min(one.strain[-1], other.strain[-1]))
-    found = []
-    for body in (one, other):
-        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
-        highest = float(body.stress[body.strain <= PLATEAU[0]].max())
-        found.append((level, highest, float(np.interp(end, body.strain, body.energies["external"]))))
-    return max((abs(after / before - 1) for before, after in zip(*found, strict=True) if before), default=0.0)
-
-
-def _corner(column: int, axis: int) -> int:
-    """The corner of a turned voxel that is at the upper end along x, y, z where bits 0, 1, 2 of `column` are set."""
-    low = [1 - (column >> c & 1) for c in range(3)]
-    x, y, z = low if axis == 2 else (low[1], low[2], low[0]) if axis == 0 else (low[2], low[0], low[1])
-    return x + 2 * y + 4 * z
-
-
-def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
-    """Whole voxels of a field, (nz, ny, nx), cut at the level at which they have the density of a finer grid."""
-    values = field.sample(resolution, threads).T
-    density = float(field.solid(2 * resolution, threads).mean(dtype=np.float64))
-    count = round(density * values.size)
-    if not count:
-        return np.zeros(values.shape, np.uint8)
-    # voxels of one value go together, so that symmetry stays
-    most = np.partition(values.reshape(-1), count - 1)[count - 1]
-    with_them, without = values <= most, values < most
-    fewer = count - np.count_nonzero(without) < np.count_nonzero(with_them) - count
-    return np.asarray(without if fewer and without.any() else with_them).view(np.uint8)
-
-
-def _loose(image: NDArray[np.uint8]) -> list[str]:
-    """Warnings for solid that carries nothing."""
-    from sppm_pipeline.numerics import find_components
-
-    found = find_components((image > 0).view(np.uint8), (False,) * 3, 6)
-    spanning = found.faces[:, 4] & found.faces[:, 5]
-    if not spanning.any():
-        return ["no load path between the plates: the force is zero until pieces meet"]
-    loose = float(found.sizes[~spanning].sum() / found.sizes.sum())
-    return [f"{loose:.2g} of the solid is not connected to the load path between the plates"] if loose else []

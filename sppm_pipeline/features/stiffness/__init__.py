@@ -8,6 +8,7 @@ STAGES = {
     "tune.stiffness": "TuneStiffness",
     "homogenize.realizations": "HomogenizeRealizations",
     "homogenize.voxel": "HomogenizeVoxel",
+    "measure.onset": "MeasureOnset",
     "write.stiffness": "WriteStiffness",
 }
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""

@@ -37,6 +37,7 @@ class Elements:
                 np.ascontiguousarray(x), body.blocked(body.corners, -1), body.phases[body.lanes[:, 0]].astype(np.int32),
                 body.slabs, odd, len(sums), self.table, state, np.full(body.lanes.shape, -1, np.int32),
                 np.zeros(0, np.uint8), np.zeros((0, 8, 3)), np.zeros(element.ROWS * element.LANES), f, sums,
+                np.zeros((0, 3)), np.zeros((0, 4, element.LANES)),
             )  # fmt: skip
         return f, sums[:, :2].sum()
 

@@ -38,11 +38,11 @@ def test_the_surface_bounds_the_voxels_and_knows_their_owners():
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
 
 
-def pictures(frames, axis="z", section=None, colors=None):
+def pictures(frames, axis="z", section=None, colors=None, released=None):
     colors = colors or [np.tile(np.array(BONE, np.uint8), (len(VOXELS), 1))] * len(frames)
     drawn = frame_pictures(
         VOXELS, GRID, ELEMENTS, np.array(frames, np.float32), iter(colors), axis=axis, camera=Camera(elevation=0.0),
-        size=(60, 60), section=section,
+        size=(60, 60), section=section, released=released,
     )  # fmt: skip
     return [picture.astype(int) for picture in drawn]
 
@@ -65,6 +65,15 @@ def test_all_frames_are_seen_at_one_scale_with_the_axis_of_compression_upright()
 
 def test_a_section_keeps_a_layer_at_least():
     assert covered(*pictures([NODES], section=1e-300)) == covered(*pictures([NODES], section=1 / 3))
+
+
+def test_voxels_that_have_failed_are_not_drawn():
+    upper = VOXELS[:, 2] == 1
+    whole, half, same = pictures([NODES] * 3, released=np.stack([upper & False, upper, upper]))
+    (high, wide), (low, as_wide) = covered(whole), covered(half)
+    assert low == pytest.approx(high / 2, abs=1)
+    assert wide == as_wide
+    assert np.array_equal(half, same)
 
 
 def test_colors_are_those_of_the_voxels_and_a_section_leaves_some_out():

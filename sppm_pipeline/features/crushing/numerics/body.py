@@ -51,16 +51,27 @@ def body_of(image: NDArray[np.uint8], *, confined: bool = False) -> Body:
     places = np.flatnonzero(used)
     nodes = np.stack([places % (nx + 1), places // (nx + 1) % (ny + 1), places // ((nx + 1) * (ny + 1))], axis=1)
     lanes, slabs = _blocks(z // LAYERS, phases, -(-nz // LAYERS))
-    exposed = _exposed(image > 0, confined)[:, z, y, x]
+    voxels = np.stack([x, y, z], axis=1)
+    surface, carried = surface_of((nx, ny, nz), voxels, confined)
+    return Body(
+        (nx, ny, nz), voxels, number[grid], nodes.astype(np.int32), phases, lanes, slabs, surface, carried,
+    )  # fmt: skip
+
+
+def surface_of(
+    shape: tuple[int, int, int], voxels: NDArray[np.int32], confined: bool
+) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+    """Which of the voxels (n, 3) have an exposed face, and bits of those of their corners that lie at one."""
+    x, y, z = voxels.T
+    solid = np.zeros(shape[::-1], bool)
+    solid[z, y, x] = True
+    exposed = _exposed(solid, confined)[:, z, y, x]
     carried = np.zeros(len(x), np.uint8)
     for a in range(8):
         at = exposed[0 + (a & 1)] | exposed[2 + (a >> 1 & 1)] | exposed[4 + (a >> 2 & 1)]
         carried |= at.astype(np.uint8) << np.uint8(a)
     surface = np.flatnonzero(carried).astype(np.int32)
-    return Body(
-        (nx, ny, nz), np.stack([x, y, z], axis=1), number[grid], nodes.astype(np.int32), phases, lanes, slabs, surface,
-        carried[surface],
-    )  # fmt: skip
+    return surface, carried[surface]
 
 
 def _blocks(

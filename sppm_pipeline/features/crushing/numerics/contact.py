@@ -115,7 +115,7 @@ def search(
     Arrays are those of `sort_voxels`; cells must be as wide as the largest distance of two voxels with balls within
     reach. A pair belongs to the lower of its two layers. `balls` (voxels, 8, 3), `carried` (voxels,) bits of the
     corners that have a ball; `pairs` (room, 2) receive eight times the voxel and the corner, in an order that the
-    positions determine.
+    positions determine. Places are in half voxels: neighbors are up to two apart.
     """
     nx, ny, nz = shape
     found = 0
@@ -142,7 +142,7 @@ def search(
                             near = dx * dx + dy * dy + dz * dz < (reach + points[other, 3]) ** 2
                             away = max(abs(homes[other, 0] - hx), abs(homes[other, 1] - hy), abs(homes[other, 2] - hz))
                             # one condition: most voxels nearby are neighbors, and two branches would be hard to guess
-                            if not (near & (away > 1)):
+                            if not (near & (away > 2)):
                                 continue
                             q = names[other]
                             x1, y1, z1, limit = x + dx, y + dy, z + dz, (REACH + points[other, 3]) ** 2

@@ -17,20 +17,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.crushing.numerics.material import ALPHA, DISSIPATED, LANES, PLASTIC, STORED, YIELD, stresses
+from sppm_pipeline.features.crushing.numerics.material import (
+    ALPHA,
+    DISSIPATED,
+    HARDENING,
+    LANES,
+    PLASTIC,
+    RELEASED,
+    STORED,
+    YIELD,
+    stresses,
+    yield_stresses,
+)
 from sppm_pipeline.numerics import inline_jit, jit
 
 #: Rows of scratch: 24 of corners or modes, 9 deformation gradient, 10 state, 9 stress, yield stress, hardening,
-#: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain.
-ROWS = 71
+#: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain,
+#: bound of the largest principal stress, or plastic strain before the step.
+ROWS = 72
 STATE = 10
 """Numbers kept of an element: 6 of the plastic metric, equivalent plastic strain, energy of bending were it elastic,
 the share of its stiffness, and the largest stiffness of the element."""
 
-_BENT, _SHARE, _WORK = 40, 41, 57
+_BENT, _SHARE, _WORK, _BOUND = 40, 41, 57, 71
 _LANES = np.uint64(LANES)
 _R = tuple(np.uint64(LANES * row) for row in range(ROWS))
 _8 = np.uint64(8 * LANES)
+
+TAKEN = 1 - RELEASED
+"""Share of the work to failure that a crack takes up until its voxel is released."""
 
 #: What `forces` adds up for each slab: energy stored in the mean strain and in bending, dissipated by plastic flow,
 #: work of bending.
@@ -131,11 +146,80 @@ def _push(s: NDArray[Any], mu: Any) -> None:
         s[e + _R[23]] = zx * dx + zy * dy + zz * dz
 
 
+@inline_jit
+def _bound(s: NDArray[Any]) -> None:
+    """Upper bound of the largest principal Kirchhoff stress."""
+    for e in range(_LANES):
+        xx = s[e + _R[43]] * s[e + _R[24]] + s[e + _R[44]] * s[e + _R[25]] + s[e + _R[45]] * s[e + _R[26]]
+        yy = s[e + _R[46]] * s[e + _R[27]] + s[e + _R[47]] * s[e + _R[28]] + s[e + _R[48]] * s[e + _R[29]]
+        zz = s[e + _R[49]] * s[e + _R[30]] + s[e + _R[50]] * s[e + _R[31]] + s[e + _R[51]] * s[e + _R[32]]
+        xy = s[e + _R[43]] * s[e + _R[27]] + s[e + _R[44]] * s[e + _R[28]] + s[e + _R[45]] * s[e + _R[29]]
+        xz = s[e + _R[43]] * s[e + _R[30]] + s[e + _R[44]] * s[e + _R[31]] + s[e + _R[45]] * s[e + _R[32]]
+        yz = s[e + _R[46]] * s[e + _R[30]] + s[e + _R[47]] * s[e + _R[31]] + s[e + _R[48]] * s[e + _R[32]]
+        mean = (xx + yy + zz) * (1 / 3)
+        xx, yy, zz = xx - mean, yy - mean, zz - mean
+        square = xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)
+        s[e + _R[_BOUND]] = mean + np.sqrt((2 / 3) * square)
+
+
+@jit
+def _principal(s: NDArray[Any], e: Any) -> Any:
+    """Largest principal Kirchhoff stress of an element."""
+    xx = s[e + _R[43]] * s[e + _R[24]] + s[e + _R[44]] * s[e + _R[25]] + s[e + _R[45]] * s[e + _R[26]]
+    yy = s[e + _R[46]] * s[e + _R[27]] + s[e + _R[47]] * s[e + _R[28]] + s[e + _R[48]] * s[e + _R[29]]
+    zz = s[e + _R[49]] * s[e + _R[30]] + s[e + _R[50]] * s[e + _R[31]] + s[e + _R[51]] * s[e + _R[32]]
+    xy = s[e + _R[43]] * s[e + _R[27]] + s[e + _R[44]] * s[e + _R[28]] + s[e + _R[45]] * s[e + _R[29]]
+    xz = s[e + _R[43]] * s[e + _R[30]] + s[e + _R[44]] * s[e + _R[31]] + s[e + _R[45]] * s[e + _R[32]]
+    yz = s[e + _R[46]] * s[e + _R[30]] + s[e + _R[47]] * s[e + _R[31]] + s[e + _R[48]] * s[e + _R[32]]
+    mean = (xx + yy + zz) / 3
+    xx, yy, zz = xx - mean, yy - mean, zz - mean
+    second = 0.5 * (xx * xx + yy * yy + zz * zz) + xy * xy + xz * xz + yz * yz
+    third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    root = np.sqrt(second / 3) + 1e-300
+    angle = np.arccos(min(max(third / (2 * root * root * root), -1.0), 1.0)) / 3
+    return mean + 2 * root * np.cos(angle)
+
+
+@inline_jit
+def _crack(s: NDArray[Any], own: NDArray[Any], strength: float, fracture: float, young: float) -> None:
+    """Weaken cracked elements: isotropic damage, which the largest principal effective stress (Rankine) lets grow.
+
+    Damage follows the root of the stored energy, as a stress; so it takes up the work to failure, `fracture` per
+    volume, in any state of stress. `own` (4, LANES) has that stress where a crack began, the largest so far, the
+    damage, and that stress one step ago.
+    """
+    _bound(s)
+    for e in range(_LANES):
+        # elastic energies of the mean strain and of bending
+        energy = s[e + _R[STORED]] + s[e + _R[_SHARE]] * s[e + _R[56]]
+        driving = np.sqrt(2 * young * max(energy, 0.0))
+        if s[e + _R[_BOUND]] > strength and driving > own[1, e] and _principal(s, e) > strength:
+            if own[0, e] == 0:
+                own[0, e] = own[1, e] = driving
+            first = own[0, e]
+            begun = first * first / (2 * young)
+            # no steeper than it rose: else the stress would snap back
+            decay = TAKEN * first / (young * max(fracture - begun, 2 * begun))
+            damage = 1 - first / driving * np.exp(-decay * (driving - first))
+            # forces before and after, over the way between, dissipate by the geometric mean of the energies
+            s[e + _R[DISSIPATED]] += (damage - own[2, e]) * driving * own[3, e] / (2 * young)
+            own[1, e], own[2, e] = driving, damage
+        own[3, e] = driving
+        left = 1 - own[2, e]
+        if left < 1:
+            s[e + _R[STORED]] *= left
+            s[e + _R[56]] *= left
+            for row in range(9):
+                s[e + _R[43] + np.uint64(row) * _LANES] *= left
+            for row in range(12):
+                s[e + _R[58] + np.uint64(row) * _LANES] *= left
+
+
 @jit
 def forces(
     x: NDArray[Any], corners: NDArray[Any], phases: NDArray[Any], slabs: NDArray[Any], first: int, last: int,
     table: NDArray[Any], state: NDArray[Any], surface: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any],
-    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any],
+    s: NDArray[Any], f: NDArray[Any], sums: NDArray[Any], failing: NDArray[Any], cracks: NDArray[Any],
 ) -> None:  # fmt: skip
     """Add the forces of every second slab of elements to those of the nodes, and advance the elements' state.
 
@@ -145,8 +229,11 @@ def forces(
     `slabs` (slabs + 1,) where the blocks of each begin. `state` (blocks, STATE, LANES) is advanced in place. `surface`
     (blocks, LANES) numbers voxels at the surface, or is -1; of these `pushed` says which are in contact, and `push`
     (voxels, 8, 3) has the forces on their corners. `s` (ROWS * LANES,) is scratch. Of `sums` (slabs, SUMS) the
-    energies stored are set; what was dissipated, and the work of bending, are added to.
+    energies stored are set; what was dissipated, and the work of bending, are added to. `failing` is
+    `material.failing`, empty if nothing fails; `cracks` (blocks, 4, LANES) is that of `_crack`, advanced in
+    place, empty if nothing cracks.
     """
+    fails, cracked = len(failing) > 0, len(cracks) > 0
     for slab in range(first, last, 2):
         stored, bent, dissipated, bending = 0.0, 0.0, 0.0, 0.0
         for block in range(slabs[slab], slabs[slab + 1]):
@@ -171,7 +258,26 @@ def forces(
             phase = phases[block]
             _transform(s)
             _bend(s, table[phase, 0], table[phase, 1])
+            yield_stresses(s, table, phase)
+            if cracked:
+                # what has cracked flows no more: else plastic flow would hold its effective stress
+                for e in range(LANES):
+                    if cracks[block, 2, e] > 0:
+                        s[YIELD * LANES + e] *= 1e30
+            if fails:
+                for e in range(LANES):
+                    s[_BOUND * LANES + e] = s[ALPHA * LANES + e]
             stresses(s, table, phase)
+            if fails:
+                # flow dissipates by the mean of the stresses before and after; in a voxel that fails they differ
+                for e in range(LANES):
+                    flow = s[ALPHA * LANES + e] - s[_BOUND * LANES + e]
+                    s[DISSIPATED * LANES + e] -= 0.5 * s[HARDENING * LANES + e] * flow * flow
+            if cracked:
+                for e in range(LANES):
+                    if cracks[block, 2, e] > 0:
+                        s[YIELD * LANES + e] *= 1e-30
+                _crack(s, cracks[block], failing[phase, 0], failing[phase, 1], failing[phase, 2])
             _push(s, table[phase, 1])
             _transform(s)
             for row in range(STATE):

@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.features.crushing.numerics import contact, element, plates
 from sppm_pipeline.features.crushing.numerics.body import Body, wave_speed
-from sppm_pipeline.features.crushing.numerics.material import ALPHA, LANES, PLASTIC, RATIO, Material, constants
+from sppm_pipeline.features.crushing.numerics.material import (
+    ALPHA,
+    LANES,
+    PLASTIC,
+    RATIO,
+    Material,
+    constants,
+)
 from sppm_pipeline.features.crushing.numerics.selfcontact import SelfContact
+from sppm_pipeline.numerics import find_components
 
 COURANT, STABLE = 0.6, 0.8
 """Largest time step over the time that a pressure wave takes for an edge; share of the squared step at which a brick of
@@ -45,7 +53,6 @@ warning, and there are up to 800 records."""
 
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 
-
 _ARRAYS = ("v", "f", "state", "mass", "heavier", "sums", "node_sums")
 
 
@@ -66,14 +73,15 @@ class Load(NamedTuple):
     plates: float = 0.0  # coefficient of friction of the plates; negative if the body sticks to them
     confined: bool = False  # rollers hold the sides
     friction: float = 0.2  # coefficient of friction where the body touches itself
+    rubble: bool = True  # nodes of released voxels stay as points that contact pushes; else they leave
 
 
 class History(NamedTuple):
     """Records (n,) of a run, in units of voxel edges and of the first material.
 
-    Energies, by the names in `ENERGIES`: of the elements, stored in their mean strain, stored in bending and
-    dissipated; of contacts, stored and lost; kinetic; lost to damping and at the plates; given to the body by mass
-    that was added.
+    Energies, by the names of `March.energies`: of the elements, stored in their mean strain, stored in bending and
+    dissipated; of contacts, stored and lost; kinetic; lost to damping and at the plates; given to the body by mass that
+    was added.
     """
 
     strain: NDArray[np.float64]
@@ -85,6 +93,11 @@ class History(NamedTuple):
 
 class March:
     """A body on its way, with a material of each phase; `to` moves it on. The result does not depend on the threads."""
+
+    energies: tuple[str, ...] = ENERGIES
+    fails = False
+    _failing = np.zeros((0, 3))
+    _cracks = np.zeros((0, 4, LANES))
 
     def __init__(self, body: Body, materials: tuple[Material, ...], load: Load, threads: int = 1) -> None:
         self.body, self.load = body, load
@@ -101,11 +114,9 @@ class March:
         self._strains = _strains(load, self.dt / nz)
         self.steps = len(self._strains) - 1
         self._recorded = 0.0
-        self._corners = body.blocked(body.corners, -1)
         self._phases = body.phases[body.lanes[:, 0]].astype(np.int32)
-        number = np.full(len(body.corners), -1, np.int32)
-        number[body.surface] = np.arange(len(body.surface), dtype=np.int32)
-        self._surface = body.blocked(number, -1)
+        self._live = body
+        self._arrange()
         self._density = self._modulus[body.phases]
         self._held = np.zeros(len(body.nodes), np.uint8)
         if load.confined:
@@ -130,11 +141,23 @@ class March:
         self._work = 0.0
         self._from_mass = 0.0
         k = min(contact.STIFFNESS, contact.STABLE / (wave_speed(materials) * self.dt) ** 2)
-        stiffness = k * (self._table[0, 0] + 2 * self._table[0, 1]) * self._modulus
-        self._contact = SelfContact(body, stiffness, self._modulus, load.friction, self.dt, self._share)
+        self._stiffness = k * (self._table[0, 0] + 2 * self._table[0, 1]) * self._modulus
+        self._contact = self._skin()
         self.relist()
         self._given = self._kinetic()
         self._rows = [self._balance()]
+
+    def _arrange(self) -> None:
+        """Nodes of the elements in their lanes, and their numbers at the surface."""
+        live = self._live
+        self._corners = live.blocked(live.corners, -1)
+        number = np.full(len(live.corners), -1, np.int32)
+        number[live.surface] = np.arange(len(live.surface), dtype=np.int32)
+        self._surface = live.blocked(number, -1)
+
+    def _skin(self) -> SelfContact:
+        """Contact of the surface."""
+        return SelfContact(self._live, self._stiffness, self._modulus, self.load.friction, self.dt, self._share)
 
     def relist(self) -> None:
         """Search the surfaces that may come to touch."""
@@ -200,7 +223,7 @@ class March:
                 element.forces(
                     self.x, self._corners, self._phases, self.body.slabs, 2 * a + odd, min(2 * b + odd, slabs),
                     self._table, self._state, self._surface, self._contact.pushed, self._contact.push, scratch, self._f,
-                    self._sums,
+                    self._sums, self._failing, self._cracks,
                 )  # fmt: skip
 
             self._share((slabs + 1 - odd) // 2, part)
@@ -211,7 +234,7 @@ class March:
 
     def _rescale(self) -> None:
         """Give crushed elements, which are stiffer, so much more mass that the step stays stable."""
-        ratios = self._of_elements(RATIO)
+        ratios = self._ratios()
         if not (ratios > 0).all():
             raise Failed(self.strain, "a voxel turned inside out")
         needed = self._needed * ratios
@@ -223,11 +246,19 @@ class March:
         self._mass = self._node_masses(self._density * self._heavier)
         self._from_mass += self._kinetic() - before
 
+    def _ratios(self) -> NDArray[np.float64]:
+        """Largest stiffness of each element over its wave modulus."""
+        return self._of_elements(RATIO)
+
     def _of_elements(self, row: int) -> NDArray[np.float64]:
-        values = np.empty(len(self.body.corners))
-        filled = self.body.lanes >= 0
-        values[self.body.lanes[filled]] = self._state[:, row - PLASTIC][filled]
-        return values
+        """Of released ones what is larger than 0."""
+        return self._unblocked(self._state[:, row - PLASTIC], 0.5)
+
+    def _unblocked(self, values: NDArray[np.float64], empty: float) -> NDArray[np.float64]:
+        found = np.full(len(self.body.corners), empty)
+        filled = self._live.lanes >= 0
+        found[self._live.lanes[filled]] = values[filled]
+        return found
 
     def _kinetic(self) -> float:
         return 0.5 * float(np.sum(self._mass[:, None] * self._v**2))
@@ -246,8 +277,20 @@ class March:
 
     @property
     def plastic_strain(self) -> NDArray[np.float64]:
-        """Equivalent plastic strain of each element."""
+        """Equivalent plastic strain of each element; of a released one that at its end."""
         return self._of_elements(ALPHA)
+
+    @property
+    def released(self) -> NDArray[np.bool_]:
+        """Which elements have failed."""
+        return np.zeros(len(self.body.corners), bool)
+
+    def fragments(self) -> int:
+        """Pieces of what has not failed, connected across faces of voxels."""
+        solid = np.zeros(self.body.shape[::-1], np.uint8)
+        x, y, z = self.body.voxels[~self.released].T
+        solid[z, y, x] = 1
+        return len(find_components(solid, (False,) * 3, 6).sizes)
 
     def _balance(self) -> list[float]:
         elements, nodes = self._sums.sum(0), self._node_sums.sum(0)
@@ -316,7 +359,7 @@ class March:
         forces = np.concatenate([np.zeros((1, 2)), forces])
         ahead = (mean[-1, 0] - mean[-2, 0]) / (mean[-2, 0] - mean[-3, 0]) if len(mean) > 2 else 0.0
         top, bottom = np.concatenate([forces, forces[-1:] + ahead * (forces[-1:] - forces[-2:-1])]).T
-        return History(mean[:, 0], top, bottom, mean[:, 4], dict(zip(ENERGIES, mean[:, 5:].T, strict=True)))
+        return History(mean[:, 0], top, bottom, mean[:, 4], dict(zip(self.energies, mean[:, 5:].T, strict=True)))
 
     def shares(self) -> dict[str, float]:
         """Each energy at the last record over the work of the upper plate; the rest is `unbalanced`."""
@@ -324,7 +367,7 @@ class March:
 
     def _shares(self, row: list[float]) -> dict[str, float]:
         work = row[4] or 1.0
-        shares = {name: value / work for name, value in zip(ENERGIES, row[5:], strict=True)}
+        shares = {name: value / work for name, value in zip(self.energies, row[5:], strict=True)}
         shares["mass"] = -shares["mass"]
         shares["unbalanced"] = 1 + self._given / work - sum(shares.values())
         return shares

@@ -7,6 +7,8 @@ more). A body that does not yield has a yield stress beyond reach.
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,13 +37,72 @@ _STORED, _DISSIPATED = np.uint64(LANES * STORED), np.uint64(LANES * DISSIPATED)
 _LANES = np.uint64(LANES)
 _ROOT = (2 / 3) ** 0.5
 
+RELEASED = 0.02
+"""Yield stress, over that where softening begins, and strength that a crack leaves, below which a voxel is released."""
+
+_DECAY = (0.0, 0.25, 0.5, 0.8, 1.2, 1.7, 2.4, 3.2, -math.log(RELEASED))
+"""Kinks of the piecewise linear softening: where on the exponential they lie, -ln of the stress. The chords enclose 2 %
+more area than the exponential, which their spacing makes up for."""
+
 
 class Material(NamedTuple):
-    """An isotropic material; its yield stress is linear between plastic strains, constant beyond, empty if elastic."""
+    """An isotropic material; its yield stress is linear between plastic strains, constant beyond, empty if elastic.
+
+    With a crack band (Bazant and Oh 1983) `fracture` is the work to failure over the volume of a voxel: energy per
+    area of a crack over the voxel's edge, in the unit of Young's modulus. Beyond the last plastic strain of the table
+    the yield stress then falls exponentially, so that plastic work takes up just this until the voxel is released; an
+    infinite one changes nothing. With a `strength` voxels crack where the largest principal stress reaches it.
+    """
 
     young: float
     poisson: float
     yield_stress: tuple[tuple[float, float], ...] = ()
+    fracture: float = math.inf
+    strength: float = math.inf
+    softens: bool = True
+
+    @property
+    def curve(self) -> tuple[tuple[float, float], ...]:
+        """Table of the yield stress with its softening."""
+        if not (self.fails and self.yield_stress):
+            return self.yield_stress
+        start, peak = self.yield_stress[-1]
+        stresses = [math.exp(-x) for x in _DECAY]
+        area = sum((b - a) * (s + t) / 2 for (a, b), (s, t) in zip(pairwise(_DECAY), pairwise(stresses), strict=True))
+        # from decay lengths to plastic strain
+        scale = self.fracture / (peak * area)
+        falling = tuple((start + scale * x, peak * s) for x, s in zip(_DECAY, stresses, strict=True))
+        return self.yield_stress[:-1] + falling
+
+    @property
+    def fails(self) -> bool:
+        """Whether plastic flow softens the material until it fails."""
+        return self.softens and bool(self.yield_stress) and math.isfinite(self.fracture)
+
+    @property
+    def cracks(self) -> bool:
+        """Whether it cracks in tension."""
+        return math.isfinite(self.strength) and math.isfinite(self.fracture)
+
+    @property
+    def failure_strain(self) -> float:
+        """Plastic strain at which a voxel is released."""
+        return self.curve[-1][0] if self.fails else math.inf
+
+    @property
+    def least_fracture(self) -> float:
+        """Work to failure over the volume of a voxel below which the stress of a voxel would snap back: it would have
+        to fall while the voxel gets longer."""
+        limits = [0.0]
+        if self.softens and self.yield_stress:
+            # a bar of one voxel is stable while its yield stress falls slower than with Young's modulus
+            unit = self._replace(fracture=self.yield_stress[-1][1])
+            (a, s), (b, t) = unit.curve[len(self.yield_stress) - 1 : len(self.yield_stress) + 1]
+            limits.append(unit.fracture * (s - t) / (b - a) / self.young)
+        if math.isfinite(self.strength):
+            # half of it is elastic energy; what is left falls no steeper than the stress rose
+            limits.append(1.5 * self.strength**2 / self.young)
+        return max(limits)
 
     @property
     def lame(self) -> tuple[float, float]:
@@ -60,32 +121,40 @@ def constants(materials: tuple[Material, ...]) -> NDArray[np.float64]:
     """Constants of each material for the kernels (phases, 5 + 2 n), in units of the first one's Young's modulus.
 
     λ, μ, bulk modulus, yield stress before any strain, number of kinks, then the strain at each kink of the hardening
-    curve and by how much its slope rises there.
+    curve, softening included, and by how much its slope rises there.
     """
-    kinks = max(1, *(len(m.yield_stress) for m in materials))
+    kinks = max(1, *(len(m.curve) for m in materials))
     table = np.zeros((len(materials), 5 + 2 * kinks))
     unit = materials[0].young
     for row, m in zip(table, materials, strict=True):
         lam, mu = m.lame
         row[:5] = lam / unit, mu / unit, (lam + 2 * mu / 3) / unit, NO_YIELD, 0
-        if m.yield_stress:
-            strain, stress = np.array(m.yield_stress, np.float64).T
+        if m.curve:
+            strain, stress = np.array(m.curve, np.float64).T
             slopes = np.concatenate([[0.0], np.diff(stress / unit) / np.diff(strain), [0.0]])
             row[3:5] = stress[0] / unit, len(strain)
             row[5 : 5 + 2 * len(strain)] = np.stack([strain, np.diff(slopes)], axis=1).ravel()
     return table
 
 
-@inline_jit
-def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
-    """First Piola-Kirchhoff stress of a block of elements, whose plastic state is advanced.
+def failing(materials: tuple[Material, ...]) -> NDArray[np.float64]:
+    """Of each material the stress at which it cracks, work to failure per volume, and Young's modulus (phases, 3).
 
-    Of the scratch `s` deformation gradient and state are read; stress, state, and energies are written: the energy
-    stored and what was dissipated by this step, both per reference volume; also the largest stiffness of the element.
-    `phase` is a row of the table of `constants`.
+    In units of the first one's Young's modulus; empty (0, 3) if none fails in any way.
     """
-    mu, bulk, first = table[phase, 1], table[phase, 2], table[phase, 3]
-    wave = table[phase, 0] + 2 * mu
+    if not any(m.fails or m.cracks for m in materials):
+        return np.zeros((0, 3))
+    unit = materials[0].young
+    return np.array([
+        (m.strength / unit if m.cracks else NO_YIELD, min(m.fracture / unit, NO_YIELD), m.young / unit)
+        for m in materials
+    ])  # fmt: skip
+
+
+@inline_jit
+def yield_stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
+    """Write yield stress and hardening of a block of elements; `phase` is a row of the table of `constants`."""
+    first = table[phase, 3]
     for e in range(_LANES):
         s[e + _YIELD] = first
         s[e + _HARDENING] = 0.0
@@ -95,6 +164,18 @@ def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
             beyond = s[e + _ALPHA] - at
             s[e + _YIELD] += slope * max(beyond, 0.0)
             s[e + _HARDENING] += slope if beyond >= 0.0 else 0.0
+
+
+@inline_jit
+def stresses(s: NDArray[Any], table: NDArray[Any], phase: Any) -> None:
+    """First Piola-Kirchhoff stress of a block of elements, whose plastic state is advanced.
+
+    Of the scratch `s` deformation gradient, state and what `yield_stresses` has written are read; stress, state, and
+    energies are written: the energy stored and what was dissipated by this step, both per reference volume; also the
+    largest stiffness of the element. `phase` is a row of the table of `constants`.
+    """
+    mu, bulk = table[phase, 1], table[phase, 2]
+    wave = table[phase, 0] + 2 * mu
     for e in range(_LANES):
         f00, f01, f02 = s[e + _F[0]], s[e + _F[1]], s[e + _F[2]]
         f10, f11, f12 = s[e + _F[3]], s[e + _F[4]], s[e + _F[5]]

@@ -16,8 +16,8 @@ from sppm_pipeline.numerics import jit
 CHUNK = 1024
 """Nodes that are summed together."""
 
-#: Bits of a node's `held`: by a roller along x, along y.
-ROLLS_X, ROLLS_Y = 1, 2
+#: Bits of a node's `held`: by a roller along x, along y; or it has left the body.
+ROLLS_X, ROLLS_Y, DROPPED = 1, 2, 4
 
 #: What is added up for each chunk: impulse on the lower and upper plate, work of the plates on the body, work lost to
 #: damping and to setting the body in motion, kinetic energy, and the largest squared distance that a node has moved
@@ -46,6 +46,8 @@ def move(
     for chunk in range(first, last):
         bottom, top, work, damped, kinetic, moved = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(x))):
+            if held[i] & DROPPED:
+                continue
             m = mass[i]
             d = dt / m
             rx, ry, rz = x[i, 0], x[i, 1], x[i, 2]

@@ -13,29 +13,38 @@ from sppm_pipeline.features.crushing.numerics.body import Body
 Share = Callable[[int, Callable[[int, int], None]], None]
 """Lets threads work on about equal shares of so many things."""
 
+_NONE, _NO_SHARE = np.zeros(0, np.int64), np.zeros(0)
+
 
 class SelfContact:
     """The balls of a body's surface, the pairs of them that are near each other, and their forces.
 
-    `stiffness` of contacts and `mass` of voxels are those of each phase. `pushed` (voxels,) says which voxels at the
-    surface are in contact, `push` (voxels, 8, 3) has the forces on their corners.
+    `stiffness` of contacts and `mass` of voxels are those of each phase. `points` are nodes that carry a ball each, of
+    which `points_share` (points,) is the share of a voxel's mass, up to 1, and `points_phase` the phase. `pushed`
+    (carriers,) says which voxels at the surface, and then points, are in contact; `push` (carriers, 8, 3) has the
+    forces on `corners` (carriers, 8), which of a point are all the same.
     """
 
     def __init__(
         self, body: Body, stiffness: NDArray[np.float64], mass: NDArray[np.float64], friction: float, dt: float,
-        share: Share,
+        share: Share, points: NDArray[np.int64] = _NONE, points_share: NDArray[np.float64] = _NO_SHARE,
+        points_phase: NDArray[np.int64] = _NONE,
     ) -> None:  # fmt: skip
         self._body, self._friction, self._dt, self._share = body, friction, dt, share
-        shape = (len(body.surface), 8, 3)
-        phases = body.phases[body.surface]
-        self._corners = body.corners[body.surface].astype(np.uint32)
-        self._places = body.voxels[body.surface]
-        self._stiffness, self._mass = stiffness[phases], mass[phases]
+        count = len(body.surface) + len(points)
+        shape = (count, 8, 3)
+        phases = np.concatenate([body.phases[body.surface], points_phase]).astype(np.int64)
+        self.corners = np.concatenate([body.corners[body.surface], np.repeat(points[:, None], 8, 1)]).astype(np.uint32)
+        # in half voxels, so that nodes have places, too; those of neighbors are no more than two apart
+        self._places = np.concatenate([2 * body.voxels[body.surface] + 1, 2 * body.nodes[points]]).astype(np.int32)
+        self._carried = np.concatenate([body.carried, np.ones(len(points), np.uint8)])
+        shares = np.concatenate([np.ones(len(body.surface)), points_share])
+        self._stiffness, self._mass = shares * stiffness[phases], shares * mass[phases]
         self._balls = [np.zeros(shape) for _ in range(3)]
         self._lossy, self.push = np.zeros(shape), np.zeros(shape)
-        self.pushed = np.zeros(len(body.surface), np.uint8)
-        self._starts = np.zeros(8 * len(body.surface) + 1, np.int32)
-        self._all = np.arange(len(body.surface), dtype=np.int32)
+        self.pushed = np.zeros(count, np.uint8)
+        self._starts = np.zeros(8 * count + 1, np.int32)
+        self._all = np.arange(count, dtype=np.int32)
         self._room = 64
         self._was_lost = 0.0
         self._sums = np.zeros((0, contact.SUMS))
@@ -77,7 +86,7 @@ class SelfContact:
             while True:
                 pairs = np.empty((room, 2), np.int32)
                 # how many pairs there are is known only afterwards: a second search has room for all
-                count = contact.search(starts, names, points, homes, shape, first, last, now, self._body.carried, pairs)
+                count = contact.search(starts, names, points, homes, shape, first, last, now, self._carried, pairs)
                 if count <= room:
                     found[first] = pairs[:count]
                     return
@@ -107,7 +116,7 @@ class SelfContact:
         self, x: NDArray[np.float64], v: NDArray[np.float64], balls: NDArray[np.float64], active: NDArray[np.int32],
         ago: float,
     ) -> None:  # fmt: skip
-        self._share(len(active), lambda a, b: contact.place(x, v, ago, self._corners, active, a, b, balls))
+        self._share(len(active), lambda a, b: contact.place(x, v, ago, self.corners, active, a, b, balls))
 
     def _repel(self) -> None:
         now, before, earlier = self._balls

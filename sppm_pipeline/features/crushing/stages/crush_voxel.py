@@ -19,7 +19,13 @@ class CrushVoxel(Crusher):
     whether slowly enough. A field is cut so that the voxels have its porosity; voxels are whole or void. Phases of an
     image have materials of their own.
 
-    No fracture, no viscosity, no rate effects: brittle resins are beyond this model once they crack.
+    With `failure` the solid breaks by a crack band: from the peak on the stress of a voxel falls so that the work to
+    failure per area of a crack is `fracture_energy`, whatever the size of voxels, with that of a voxel's edge for the
+    width of the crack. Voxels in which the stress would snap back are refused. A voxel that bears no more than 2 % is
+    released; fragments still touch. By `rankine` it is damage that weakens a voxel in all directions, also
+    under later compression.
+
+    No viscosity, no rate effects.
     """
 
     name: ClassVar[str] = "crush.voxel"

@@ -66,7 +66,7 @@ class WriteFrames(Stage):
         drawn = frame_pictures(
             body.voxels, body.grid, body.elements, body.frame_nodes, _colors(body, self.color, top),
             axis=body.axis, camera=Camera(azimuth=self.azimuth, elevation=self.elevation), size=self.image_size,
-            section=self.section,
+            section=self.section, released=body.frame_released,
         )  # fmt: skip
         pictures, total = [], len(body.frame_strains)
         for number, picture in enumerate(drawn, 1):
@@ -88,9 +88,10 @@ class WriteFrames(Stage):
             )
         if self.meshes:
             for number, nodes in enumerate(body.frame_nodes):
-                data = {"plastic_strain": body.frame_alpha[number], "phase": body.phases}
+                left = ~body.frame_released[number] if body.frame_released.size else slice(None)
+                data = {"plastic_strain": body.frame_alpha[number][left], "phase": body.phases[left]}
                 with (folder / f"frame_{number:03}.vtu").open("wb") as file:
-                    file.writelines(encode_hexahedra(nodes, body.elements, data))
+                    file.writelines(encode_hexahedra(nodes, body.elements[left], data))
         context.report(frames=total, plastic_strain_scale=top)
 
 

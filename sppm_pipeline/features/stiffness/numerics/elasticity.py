@@ -43,12 +43,15 @@ class Homogenized(NamedTuple):
     expansion : (6,) float64 or None
         Strain of a free cell per kelvin, engineering shear; NaN for strains without a load path. None if no expansion
         was given.
+    fields : tuple of 6 (displacements, step), or empty
+        Periodic displacements (3 nz ny nx,) int16 of each load case in steps of a float, if they were requested.
     """
 
     stiffness: NDArray[np.float64]
     solved: tuple[Solved, ...]
     precision: str
     expansion: NDArray[np.float64] | None = None
+    fields: tuple[tuple[NDArray[np.int16], float], ...] = ()
 
 
 def stiffness(
@@ -156,8 +159,12 @@ class ElasticBody(NamedTuple):
         iterations: int = 500,
         threads: int = 1,
         expansion: NDArray[Any] | None = None,
+        fields: bool = False,
     ) -> Homogenized:
-        """See the function `stiffness`."""
+        """See the function `stiffness`; with `fields` displacements are returned, with an error that counts for them.
+
+        The error of a stiffness is of second order in that of displacements, so that they need more iterations.
+        """
         if self.finest is None:
             nothing = None if expansion is None else np.full(6, np.nan)
             return Homogenized(np.zeros((6, 6)), (Solved(0, 0.0, 0.0, 0.0, True, True),) * 6, self.dtype.name, nothing)
@@ -168,17 +175,19 @@ class ElasticBody(NamedTuple):
             return grids_of(finest if same else ElasticLevel(finest.moduli, finest.edges, precision), safe=safe)
 
         def measure(hierarchy: Hierarchy) -> MutualEnergies:
-            measures[:] = [MutualEnergies(hierarchy, expansion)]
+            measures[:] = [MutualEnergies(hierarchy, expansion, fields)]
             return measures[0]
 
-        stop = Stop(residual, tolerance if expansion is None else _FIRST_ORDER * tolerance, iterations)
+        first_order = fields or expansion is not None
+        stop = Stop(residual, _FIRST_ORDER * tolerance if first_order else tolerance, iterations)
         matrix, solved, reached = load_cases(hierarchy, measure, mean, stop, _FLOOR, self.dtype, threads, _NESTED)
         # what is left there is rounding
         void = np.diag(matrix) < _NO_LOAD_PATH * mean
         matrix[void] = 0
         matrix[:, void] = 0
         if expansion is None:
-            return Homogenized(matrix * self.scale, solved, reached)
+            kept = tuple(one for one in measures[0].kept if one) if fields else ()
+            return Homogenized(matrix * self.scale, solved, reached, None, kept)
         held, heat = measures[0].held, measures[0].heat
         # least squares, as what is left of the matrix may be singular
         strains = np.full(6, np.nan)
@@ -198,13 +207,15 @@ class MutualEnergies:
     hierarchy : Hierarchy
     expansion : (nz, ny, nx) float, optional
         Coefficients of thermal expansion of the voxels.
+    last : bool
+        Keep the last solution, too, which no other is measured against.
     """
 
-    def __init__(self, hierarchy: Hierarchy, expansion: NDArray[Any] | None = None) -> None:
+    def __init__(self, hierarchy: Hierarchy, expansion: NDArray[Any] | None = None, last: bool = False) -> None:
         level = hierarchy.levels[0]
         assert isinstance(level, ElasticLevel)
         self.level = level
-        self.kept: list[tuple[NDArray[np.int16], float] | None] = [None] * 6
+        self.kept: list[tuple[NDArray[np.int16], float] | None] = [None] * (6 if last else 5)
         self.matrix = np.zeros((6, 6))
         #: mean stresses of the cases, a row for each
         self.held = np.zeros((6, 6))
@@ -221,8 +232,8 @@ class MutualEnergies:
         """No solution is needed after its measurement."""
 
     def keep(self, case: int, u: NDArray[Any]) -> None:
-        """Store a solution in 16 bits; the last one is not needed."""
-        if case + 1 < len(self.kept):
+        """Store a solution in 16 bits; no other is measured against the last one."""
+        if case < len(self.kept):
             packed = np.empty(len(u), np.int16)
             self.kept[case] = packed, pack(u, packed)
 

@@ -35,8 +35,8 @@ _RELIABLE = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
-class ElasticHomogenizer(Homogenizer):
-    """Base of stages that compute effective stiffnesses on voxels: materials, and the stiffness report of a cell."""
+class ElasticCell(Homogenizer):
+    """Base of stages that solve the elasticity of a cell of voxels: materials, and the body that is solved."""
 
     young: float | tuple[float, ...] = options.young(1.0, note=f"{options.EACH_PHASE}; 1: results are relative to it")
     poisson: float | tuple[float, ...] = options.poisson(0.3, note=options.EACH_PHASE)
@@ -45,10 +45,6 @@ class ElasticHomogenizer(Homogenizer):
     )
     filling_poisson: float = option(0.3, help="Poisson's ratio of what fills the void", above=-1, below=0.5)
     stress_unit: str = options.stress_unit("relative", formerly="unit")
-    grids: int | None = option(
-        None, help="grids solved, for an error bar; the limit of fine ones is extrapolated; 2 if omitted where "
-        "voxels count by solid fractions, else 1", minimum=1, maximum=3,
-    )  # fmt: skip
     ersatz: float = option(
         0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
         minimum=0, maximum=1,
@@ -92,6 +88,43 @@ class ElasticHomogenizer(Homogenizer):
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Five fields of 16 bits, four whole ones for each case in progress, coarser grids, Lamé constants, weights."""
         return 30 + 54 * min(threads, 6) + 16
+
+    def _constants(self) -> list[tuple[float, float]]:
+        """Lamé constants of the void and of each phase."""
+        from sppm_pipeline.services.elastic.voigt import lame
+
+        return [lame(e, v) for e, v in (self._void(), *zip(*self._materials(), strict=True))]
+
+    def _expansion(self, cell: VoxelCell, expansion: tuple[float, ...], bulk: NDArray[Any]) -> NDArray[Any]:
+        """Coefficients of all voxels, (nz, ny, nx), of which `bulk` has the bulk moduli.
+
+        What is mixed in a voxel by volume is the stress that holds an expansion back, so that Levin's relation between
+        expansion and stiffness holds for mixtures, too.
+        """
+        moduli = [lam + 2 / 3 * mu for lam, mu in self._constants()]
+        stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
+        return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))
+
+    def _body(self, cell: VoxelCell, expansion: tuple[float, ...]) -> tuple[ElasticBody, NDArray[Any] | None]:
+        """The cell as it is solved, and the coefficients of expansion of its voxels, if there are any."""
+        from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody
+
+        cell = _loaded(cell)
+        lam, mu = zip(*self._constants(), strict=True)
+        dtype = np.float32 if self.precision == "single" else np.float64
+        firsts, seconds = cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
+        expanding = self._expansion(cell, expansion, firsts + 2 / 3 * seconds) if expansion else None
+        return ElasticBody.of(firsts, seconds, cell.edges, dtype), expanding
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElasticHomogenizer(ElasticCell):
+    """Base of stages that compute effective stiffnesses on voxels: grids, and the stiffness report of a cell."""
+
+    grids: int | None = option(
+        None, help="grids solved, for an error bar; the limit of fine ones is extrapolated; 2 if omitted where "
+        "voxels count by solid fractions, else 1", minimum=1, maximum=3,
+    )  # fmt: skip
 
     def _counts(self) -> list[int]:
         """Voxels along the edge of a cell of a field on each grid, the finest first."""
@@ -244,33 +277,6 @@ class ElasticHomogenizer(Homogenizer):
             (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
         )
         return (*solid, (float(fractions[0]), *self._void()))
-
-    def _constants(self) -> list[tuple[float, float]]:
-        """Lamé constants of the void and of each phase."""
-        from sppm_pipeline.services.elastic.voigt import lame
-
-        return [lame(e, v) for e, v in (self._void(), *zip(*self._materials(), strict=True))]
-
-    def _expansion(self, cell: VoxelCell, expansion: tuple[float, ...], bulk: NDArray[Any]) -> NDArray[Any]:
-        """Coefficients of all voxels, (nz, ny, nx), of which `bulk` has the bulk moduli.
-
-        What is mixed in a voxel by volume is the stress that holds an expansion back, so that Levin's relation between
-        expansion and stiffness holds for mixtures, too.
-        """
-        moduli = [lam + 2 / 3 * mu for lam, mu in self._constants()]
-        stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
-        return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))
-
-    def _body(self, cell: VoxelCell, expansion: tuple[float, ...]) -> tuple[ElasticBody, NDArray[Any] | None]:
-        """The cell as it is solved, and the coefficients of expansion of its voxels, if there are any."""
-        from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody
-
-        cell = _loaded(cell)
-        lam, mu = zip(*self._constants(), strict=True)
-        dtype = np.float32 if self.precision == "single" else np.float64
-        firsts, seconds = cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
-        expanding = self._expansion(cell, expansion, firsts + 2 / 3 * seconds) if expansion else None
-        return ElasticBody.of(firsts, seconds, cell.edges, dtype), expanding
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
