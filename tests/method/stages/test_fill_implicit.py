@@ -119,3 +119,23 @@ def test_a_drain_opens_the_skin(wang_tiling, ball):
     part.check()
     with pytest.raises(ConfigError, match="drain 1"):
         ImplicitFill(drains=((0, 0, 0, 1, 1, 1, 0.0),)).check_options()
+
+
+def test_a_border_is_what_the_options_say(wang_tiling, ball):
+    assert filled(wang_tiling, ball)[0].border is None
+    assert filled(wang_tiling, ball, border="round")[0].border.thinnest_mm == 0.3
+    assert filled(wang_tiling, ball, border="round", thinnest=Length(500, "um"))[0].border.thinnest_mm == 0.5
+    assert filled(wang_tiling, ball, border="round", skin=Length(0.6))[0].skin_mm == 0.6
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"thinnest": Length(0.3)}, "there is none"),
+        ({"border": "round", "skin": Length(0.5)}, "0.6 mm, or more"),
+        ({"border": "round", "thinnest": Length(0.4), "skin": Length(0.7)}, "0.8 mm, or more"),
+    ],
+)
+def test_a_border_needs_options_that_fit(options, says):
+    with pytest.raises(ConfigError, match=says):
+        ImplicitFill(**options).check_options()
