@@ -29,8 +29,8 @@ SAMPLER = {"stage": "sample.dart_throwing", "total": 95}
 RECIPES: dict[str, list[dict[str, object]]] = {
     "preset `open`": [{"preset": "open"}],
     "sheet, equal shares": [SAMPLER, {"stage": "field.sheet"}],
-    "the same, 100 steps": [SAMPLER, {"stage": "field.sheet", "relaxation": 100}],
-    "the same, not relaxed": [SAMPLER, {"stage": "field.sheet", "relaxation": 0}],
+    "sheet, equal shares, 100 steps": [SAMPLER, {"stage": "field.sheet", "relaxation": 100}],
+    "sheet, equal shares, not relaxed": [SAMPLER, {"stage": "field.sheet", "relaxation": 0}],
     "sheet, scattered pores": [SAMPLER, {"stage": "field.sheet"}],
     "gyroid sheet": [],
     "preset `stiff`": [{"preset": "stiff"}],
