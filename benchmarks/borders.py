@@ -1,7 +1,7 @@
 """Solid of the front page's knot that is thin, as cut and with a border, and triangles of its mesh before and after.
 
-Usage: ``python -m benchmarks.borders``. Thin is what has a local thickness below 0.3 mm on voxels of 0.05 mm; patches are
-what of it is connected across faces of voxels. Times are those of a processor, the second of two runs.
+Usage: ``python -m benchmarks.borders``. Thin is what has a local thickness below 0.3 mm on voxels of 0.05 mm; patches
+are what of it is connected across faces of voxels. Times are those of a processor, the second of two runs.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def main() -> None:
             few = simplify(mesh.vertices, mesh.faces, WITHIN)
             simplified = time.process_time() - start
         print(
-            f"{'round' if border else 'cut':6} solid {solid.sum() * VOXEL**3:.1f} mm3 in {taken:.2f} s, {share:.2%} in one "
-            f"piece; thin {thin.sum() / solid.sum():.2%}, {(patches > PATCH).sum()} patches above {PATCH} voxels; "
+            f"{'round' if border else 'cut':6} solid {solid.sum() * VOXEL**3:.1f} mm3 in {taken:.2f} s, {share:.2%} in "
+            f"one piece; thin {thin.sum() / solid.sum():.2%}, {(patches > PATCH).sum()} patches above {PATCH} voxels; "
             f"{len(mesh.faces)} triangles, {len(few.faces)} within {few.farthest:.4f} mm in {simplified:.2f} s, genus "
             f"{genus(mesh.faces)} and {genus(few.faces)}, quality below 0.1: "
             f"{(qualities(mesh.vertices, mesh.faces) < 0.1).mean():.2%} and "

@@ -374,7 +374,7 @@ def _collapse(
             if fits:
                 worst = _squared_from(
                     at[0], at[1], at[2], given, given_faces, given_first, given_around, low, size, shape, cell_first,
-                    held, t, tolerance / 4,
+                    held, t, tolerance,
                 )  # fmt: skip
                 fits = worst <= tolerance
                 for axis in range(3):
@@ -392,7 +392,7 @@ def _collapse(
                         (points[a, 1] + points[b, 1] + points[c, 1]) / 3,
                         (points[a, 2] + points[b, 2] + points[c, 2]) / 3,
                         given, given_faces, given_first, given_around, low, size, shape, cell_first, held, t,
-                        tolerance / 4,
+                        tolerance,
                     )  # fmt: skip
                     worst = max(worst, d)
                     fits = worst <= tolerance
