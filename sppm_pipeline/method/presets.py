@@ -53,7 +53,7 @@ def cell(
     Parameters
     ----------
     preset : str
-        A name that ``sppm stages`` lists: "paper", "stiff", "permeable", or one of a plugin.
+        A name that ``sppm stages`` lists: "paper", "stiff", "open", or one of a plugin.
     seed : int
     porosity : float, optional
         Share of the void, which ``tune.porosity`` reaches; that of the preset's own parameters if omitted.
@@ -71,7 +71,7 @@ def cell(
     Examples
     --------
     >>> import sppm_pipeline as sppm
-    >>> cell = sppm.cell("permeable", edge="4 mm", seed=1)
+    >>> cell = sppm.cell("stiff", edge="4 mm", seed=1)
     >>> cell.edge_mm, cell.centers_mm.shape[1]
     (4.0, 3)
     """

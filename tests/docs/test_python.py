@@ -67,7 +67,7 @@ def test_six_tasks_take_ten_lines():
     names: dict[str, object] = {}
     exec(compile(imports + short, TASKS.name, "exec"), names)
     assert names["solid"].shape == (64, 64, 64)
-    assert names["wider"].finest_radius > sppm.cell("permeable", seed=1).finest_radius
+    assert names["wider"].finest_radius > sppm.cell("paper", seed=1).finest_radius
     assert names["E"].shape == (3,)
     assert names["k"].shape == (3, 3)
     assert len(names["designs"]["seed"]) == 2

@@ -203,11 +203,11 @@ def test_warnings_point_at_the_line_of_the_user():
 
 
 def test_a_cell_of_a_preset_in_one_line():
-    cell = sppm.cell("permeable", seed=1, edge="4 mm")
+    cell = sppm.cell("stiff", seed=1, edge="4 mm")
     assert cell.edge_mm == 4
-    assert cell.digest() == sppm.cell("permeable", seed=1, edge="4 mm").digest()
+    assert cell.digest() == sppm.cell("stiff", seed=1, edge="4 mm").digest()
     with pytest.warns(sppm.SppmWarning, match="changes the radii"):
-        tuned = sppm.cell("permeable", porosity=0.6, seed=1, resolution=24)
+        tuned = sppm.cell("paper", porosity=0.6, seed=1, resolution=24)
     assert 1 - tuned.to_numpy(24).mean() == pytest.approx(0.6, abs=0.01)
     with pytest.raises(sppm.ConfigError, match=r"no preset 'papr'(.|\n)*did you mean 'paper'"):
         sppm.cell("papr", seed=1)
