@@ -50,7 +50,9 @@ def imports(module: str) -> frozenset[str]:
     waiting: list[ast.AST] = [tree] if (tree := tree_of(module)) is not None else []
     while waiting:
         node = waiting.pop()
-        if not (isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"):
+        # methods like `to_networkx` hand artifacts on to other libraries, and no result comes from them
+        hands_on = isinstance(node, ast.FunctionDef) and node.name.startswith("to_")
+        if not hands_on and not (isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"):
             found |= set(_imported(node))
             waiting += ast.iter_child_nodes(node)
     return frozenset(found)

@@ -13,6 +13,7 @@ FACES = ("sppm_pipeline", *(f"sppm_pipeline.{face}" for face in ("errors", "form
 
 PRIVATE = {
     "plugins/sppm-structures/examples/draw_published_curves.py",  # draws with the charts of the program itself
+    "docs/generate_paper.py",  # runs the command line without a process for each row
     "docs/generate_reference.py",  # writes the reference from the engine's own description of stages
 }
 """Scripts of this repository that are part of its workshop and no example for others."""

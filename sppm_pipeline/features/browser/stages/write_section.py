@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, Palette, ScalarField, Size, Stage, option, options
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.services.pictures.chart_style import COLORS
 
 MAX_PIXELS = 4096
 """Pixels along the longer side."""
@@ -83,7 +82,7 @@ class WriteSection(Stage):
 
 _CURVES = tuple(
     (int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16))
-    for color in ("#1040e0", "#00a040", "#f0d000", *COLORS[1:2], *COLORS[3:6])
+    for color in ("#1040e0", "#00a040", "#f0d000", "#d55e00", "#cc79a7", "#e69f00", "#56b4e9")
 )
 """Blue, green and yellow as in the paper's figure, then those of charts."""
 
