@@ -235,6 +235,10 @@ EXAMPLES: Mapping[str, Small] = {
     "layers": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.2 mm"),
     "modulus": _small("", "tune.porosity.resolution=24; homogenize.voxel.resolution=16"),
     "plate_with_holes": _small("", "tile.scattered.resolution=16; porous.resolution=8"),
+    "sheet_cell": _small(
+        "",
+        f"tune.porosity.resolution=24; homogenize.voxel.resolution=16; homogenize.permeability.resolution=16; {_VIEW}",
+    ),
     "single_file_plugin": _small(
         "", "check.connectivity.resolution=12; extract.marching_cubes.resolution=12", plugins=True
     ),
