@@ -48,6 +48,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.method.nouns.printer import Motion as Motion
     from sppm_pipeline.method.nouns.printer import Printer as Printer
     from sppm_pipeline.method.nouns.stiffness import StiffnessReport as StiffnessReport
+    from sppm_pipeline.method.part.border import Border as Border
     from sppm_pipeline.method.sampling.many import Surrounding as Surrounding
     from sppm_pipeline.method.slicing.slice_stack import Slab as Slab
     from sppm_pipeline.method.slicing.slice_stack import Slabs as Slabs
@@ -92,6 +93,7 @@ _PLACES = {
     "method.nouns.mesh": "RepeatedMesh",
     "method.nouns.printer": "Motion Printer",
     "method.nouns.stiffness": "StiffnessReport",
+    "method.part.border": "Border",
     "method.sampling.many": "Surrounding",
     "method.slicing.slice_stack": "Slab Slabs",
     "method.tiling.lattice": "Laid",

@@ -59,9 +59,15 @@ BLOCK_SAMPLES = 2**22
 
 @dataclass(frozen=True)
 class Border:
-    """How the solid of a part ends at its surface."""
+    """How the solid of a part ends at its surface.
 
-    thinnest_mm: float  # what voxels of a sixth of it show as the thinnest solid
+    Parameters
+    ----------
+    thinnest_mm : float
+        Thinnest solid, as local thickness on voxels of a sixth of it shows it.
+    """
+
+    thinnest_mm: float
 
 
 class _Planes:
