@@ -31,6 +31,7 @@ SENTENCES = {
     "of": "says whose property the stage makes: that of a phase, or a parameter of the design",
     "faces": "says what the stage does with the faces that cells share: what lies on them, or what they are held at",
     "values": "what stands in an image, or in a table",
+    "yield_stress": "a number where one linear solution is scaled, a table where the solid is followed beyond it",
 }
 """Names that have several units or sentences, and why."""
 

@@ -62,7 +62,7 @@ def test_layers_share_the_load_by_stiffness():
     # along the layers stress 1 is .5 in the soft one, 1.5 in the stiff one, which yields at 2
     assert numbers["x"] == pytest.approx(2 / 1.5, rel=1e-4)
     assert numbers["y"] == pytest.approx(1.0, rel=1e-4)  # in series the weaker one yields
-    numbers, _ = measured(voxels(values), **given, share=0.6)
+    numbers, _ = measured(voxels(values), **given, yielded=0.6)
     assert numbers["x"] == pytest.approx(1 / 0.5, rel=1e-4)  # more than half: the soft one as well
 
 
@@ -94,7 +94,7 @@ def test_stresses_are_those_of_assembled_matrices(assemble):
     options = {"young": (1.0, 0.2), "poisson": (0.3, 0.1), "yield_stress": 1.0, "precision": "double"}
     for place in (0, 20, 100):
         numbers, _ = measured(
-            voxels(values, (1.0, 0.5, 0.8)), share=(place + 1) / 192, solver_tolerance=1e-10, **options
+            voxels(values, (1.0, 0.5, 0.8)), yielded=(place + 1) / 192, solver_tolerance=1e-10, **options
         )
         assert 1 / numbers["y"] == pytest.approx(largest[place], rel=3e-4)
 

@@ -37,8 +37,8 @@ class WriteSection(Stage):
     reported: ClassVar[tuple[str, ...]] = ("share_above.*", "lowest", "highest")
 
     path: str = options.write_path("section.png", suffixes=(".png",))
-    along: str = option("z", help="axis across which the plane lies", choices=("x", "y", "z"))
-    at: float = option(0.5, help="place of the plane along this axis", unit="cell sizes", minimum=-1e4, maximum=1e4)
+    axis: str = options.axis("z", note="the plane lies across it")
+    position: float = option(0.5, help="place of the plane along this axis", unit="cell sizes", minimum=-1e4, maximum=1e4)
     levels: tuple[float, ...] = option(
         (), help="values whose curves are drawn, in blue, green, yellow and so on", minimum=-1e9, maximum=1e9
     )
@@ -60,7 +60,7 @@ class WriteSection(Stage):
 
         from sppm_pipeline.services.pictures.sheets import colors_of, with_scale
 
-        values = plane_of(field, "xyz".index(self.along), self.at, self.pixels, context.threads)
+        values = plane_of(field, "xyz".index(self.axis), self.position, self.pixels, context.threads)
         summed = None if isinstance(field, Part) else field.sum_level  # beyond a part there is no sum
         if summed is not None:
             values = values + summed

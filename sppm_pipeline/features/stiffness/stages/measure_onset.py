@@ -53,7 +53,7 @@ class MeasureOnset(ElasticCell):
     yield_stress: float | tuple[float, ...] = option(
         1.0, help=f"yield stress, {options.EACH_PHASE}; 1: results are relative to it", above=0, maximum=1e15
     )
-    share: float = option(0.01, help="share of the solid that yields, of the numbers reported", above=0, maximum=1)
+    yielded: float = option(0.01, help="share of the solid that yields, of the numbers reported", above=0, maximum=1)
     shares: tuple[float, ...] = option((0.001, 0.01, 0.05), help="shares of the table", above=0, maximum=1)
 
     def check_options(self) -> None:
@@ -95,7 +95,7 @@ class MeasureOnset(ElasticCell):
         else:
             share = cell.fraction.T
             modulus, weights = ratios[0] * (share > 0), share[share > 0].astype(np.float64)
-        wanted = (self.share, *self.shares)
+        wanted = (self.yielded, *self.shares)
         rows: list[tuple[str, float, float | None]] = []
         means: list[float | None] = []
         for axis, name in enumerate(AXES):
@@ -110,7 +110,7 @@ class MeasureOnset(ElasticCell):
         borne = [value for value in means if value is not None]
         context.report(
             onset=float(np.mean(borne)) if borne else None, deviation=float(np.std(borne)) if borne else None,
-            **dict(zip(AXES, means, strict=True)), share=self.share, unit=self.stress_unit,
+            **dict(zip(AXES, means, strict=True)), share=self.yielded, unit=self.stress_unit,
             relative_density=1 - cell.porosity, iterations=[case.iterations for case in found.solved],
         )  # fmt: skip
         axes, shares, stresses = zip(*rows, strict=True) if rows else ((), (), ())
