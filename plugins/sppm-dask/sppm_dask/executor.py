@@ -75,8 +75,9 @@ class DaskExecutor(Executor):
     """
 
     def __init__(self, workers: int, where: str = "") -> None:
-        # what it logs as errors are tracebacks, of what the rows' own errors say
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        # what it and its event loop log as errors are tracebacks, of what the rows' own errors say
+        for name in ("distributed", "distributed.client", "tornado.application"):  # each has a level of its own
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self._ending = contextlib.ExitStack()
         self._closed, self._shut = False, threading.Event()
         self._open: set[Future[Any]] = set()

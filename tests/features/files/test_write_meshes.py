@@ -320,8 +320,8 @@ def test_meshes_as_viewers_like_them_are_closed_again(tmp_path):
 
 
 def said_by(*command: str | Path) -> list[str]:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=600, check=True)
-    return done.stdout.splitlines()
+    done = subprocess.run([str(word) for word in command], capture_output=True, timeout=600, check=True)
+    return done.stdout.decode(errors="replace").splitlines()  # admesh prints bytes beyond the head
 
 
 @pytest.mark.parametrize("name", ["stl", "3mf"])
