@@ -38,7 +38,9 @@ class WriteSection(Stage):
 
     path: str = options.write_path("section.png", suffixes=(".png",))
     axis: str = options.axis("z", note="the plane lies across it")
-    position: float = option(0.5, help="place of the plane along this axis", unit="cell sizes", minimum=-1e4, maximum=1e4)
+    position: float = option(
+        0.5, help="place of the plane along this axis", unit="cell sizes", minimum=-1e4, maximum=1e4
+    )
     levels: tuple[float, ...] = option(
         (), help="values whose curves are drawn, in blue, green, yellow and so on", minimum=-1e9, maximum=1e9
     )
