@@ -17,7 +17,7 @@ CUT = "…/"
 
 _ROOT = r"(?:/|~/|[A-Za-z]:[\\/]|\\\\)"
 _QUOTED = re.compile(rf"(?<=['\"`]){_ROOT}[^'\"`\n]*[\\/](?=[^'\"`\n]*['\"`])")  # may hold blanks
-_BARE = re.compile(rf"(?<![\w.:/…~\\'\"`-]){_ROOT}(?:[^\s'\"`,;:()\\/]+[\\/])+")
+_BARE = re.compile(rf"(?<![\w.:/…~\\'\"`<-]){_ROOT}(?:[^\s'\"`,;:()\\/]+[\\/])+")
 
 
 def read_record(path: Path) -> dict[str, Any]:
