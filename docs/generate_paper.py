@@ -63,8 +63,8 @@ OTHERS: tuple[str, ...] = (
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
-NOT_RUN: tuple[str, ...] = ()
-"""Those of which no numbers are stored yet: the page says so, and their tables stand on no page."""
+RUN = (*PAPER, *OTHERS)
+"""All that are run; numbers of each are stored."""
 
 RELATIVE = 2e-4
 """Difference of a number that is computed again, over the number: solvers are right to 1e-4 of the stiffness."""
@@ -92,9 +92,6 @@ ELSEWHERE = """## Figure 14 and Table 1: compression of eight structures
 
 `sppm run crush_structures` takes minutes for each structure and is not run for this page; its results, and why the
 paper's strengths are not reproduced, are on [the page of crushing](crushing.md#the-papers-eight-structures)."""
-
-
-RUN = tuple(name for name in (*PAPER, *OTHERS) if name not in NOT_RUN)
 
 
 class Stored(NamedTuple):
@@ -383,7 +380,7 @@ def text_of(found: Measured, digits: int = 3) -> str:
 
 def page() -> str:
     """The page of the paper."""
-    minutes = sum(stored(name).seconds for name in PAPER if name not in NOT_RUN) / 60
+    minutes = sum(stored(name).seconds for name in PAPER) / 60
     lines = [HEAD.format(notice=NOTICE, minutes=f"{minutes:.0f}")]
     for name in PAPER:
         lines += section(name)
@@ -396,9 +393,6 @@ def section(name: str) -> list[str]:
     """The lines of one figure or table."""
     notes = notes_of(name)
     lines = [f"## {notes['figure']}: {notes['title']}", ""]
-    if name in NOT_RUN:
-        how = f"`python docs/generate_paper.py --run {name}`"
-        return [*lines, f"The paper: {notes['paper'].strip()}.", "", f"No numbers are stored yet: {how}.", ""]
     found = stored(name)
     for panel in notes.get("panels", ()):
         says = panel["says"] if isinstance(panel, dict) else Path(panel).stem.replace("_", " ")
