@@ -24,6 +24,7 @@ import numpy as np
 from scipy.ndimage import label
 
 from benchmarks.measure import pipeline_command, run, table
+from benchmarks.recount import laid_kernels, recounted_porosity
 from sppm_pipeline.features.grading.laws import TableLaw
 from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
@@ -39,7 +40,6 @@ from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
 from sppm_pipeline.method.stages.tile_scattered import ScatteredTiling
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
-from sppm_pipeline.testing.recount import laid_kernels, recounted_porosity
 
 CONFIG = Path(__file__).parent.parent / "configs" / "bunny.yaml"
 RECIPE = recipe_of(

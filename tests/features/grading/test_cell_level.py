@@ -15,7 +15,7 @@ from sppm_pipeline.features.grading.numerics.cell_level import (
     porosities_and_slopes,
 )
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import checked_mesh
-from sppm_pipeline.testing.hexahedral_meshes import star
+from tests.features.grading.hexahedral_meshes import star
 
 STAR = HexahedralCells(checked_mesh(*star(5, 2.0)).corners)
 TUBE = CylinderCells((8, 1, 2), 2.0, 2.0, 2 * np.pi)

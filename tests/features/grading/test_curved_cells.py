@@ -19,7 +19,7 @@ from sppm_pipeline.features.grading.numerics.hexahedral_mesh import (
 )
 from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
 from sppm_pipeline.services.mesh.measures import edge_counts, volume
-from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
+from tests.features.grading.hexahedral_meshes import o_grid, squares, star
 
 TURN = 2 * math.pi
 

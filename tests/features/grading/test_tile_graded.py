@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
+from benchmarks.recount import laid_kernels, recounted_porosity
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.laws import TableLaw
 from sppm_pipeline.features.grading.maps import Grading
@@ -22,7 +23,6 @@ from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
-from sppm_pipeline.testing.recount import laid_kernels, recounted_porosity
 
 TARGETS = (0.7, 0.5, 0.3)
 RECIPE = recipe_of(

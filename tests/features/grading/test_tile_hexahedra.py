@@ -34,8 +34,8 @@ from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
 from sppm_pipeline.method.stages.tile_fresh import FreshTiling
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+from tests.features.grading.hexahedral_meshes import o_grid, squares, star
 
 EDGE = 4.0
 JOINED = (

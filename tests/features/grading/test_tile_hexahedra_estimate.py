@@ -13,8 +13,8 @@ from sppm_pipeline.features.grading.curved_porosity import MORE_LAYERS, CurvedSa
 from sppm_pipeline.features.grading.stages.read_hexahedra import ReadHexahedra
 from sppm_pipeline.nouns.size import ONE
 from sppm_pipeline.services.mesh.measures import volume
-from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
 from sppm_pipeline.testing.plain_context import PlainContext
+from tests.features.grading.hexahedral_meshes import o_grid, squares, star
 
 TEXT = """sppm: 1
 seed: 2

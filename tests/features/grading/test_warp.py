@@ -31,8 +31,8 @@ from sppm_pipeline.method.stages.tileset_free_faces import FreeFacesTileSet
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.nearest import element_tree, locate
-from sppm_pipeline.testing.hexahedral_meshes import star
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+from tests.features.grading.hexahedral_meshes import star
 
 EDGE = 5.0
 RECIPE = recipe_of(

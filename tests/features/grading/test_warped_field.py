@@ -14,7 +14,7 @@ from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry, warp
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.fields.wrapped import RepeatedField
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.testing.hexahedral_meshes import star
+from tests.features.grading.hexahedral_meshes import star
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
