@@ -29,8 +29,7 @@ from typing import Any, NamedTuple
 from benchmarks.digests import SMALL, command, small
 from sppm_pipeline.engine.config.parameters import Overrides
 from sppm_pipeline.engine.plan.checking import checked
-from sppm_pipeline.engine.plan.estimate import PlanEstimate
-from sppm_pipeline.engine.plan.rates import TABLE, table
+from sppm_pipeline.engine.plan.estimate import TABLE, PlanEstimate, table
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 
 

@@ -31,15 +31,12 @@ def tree_of(module: str) -> ast.Module | None:
 @functools.cache
 def places(face: str) -> dict[str, tuple[str, str]]:
     """Of a face, public name -> (module, name there)."""
-    tree = tree_of(face)
-    assert tree is not None
+    path = ROOT.joinpath(*face.split("."))
+    stub = path / "__init__.pyi" if path.is_dir() else path.with_suffix(".pyi")
     found = {}
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_PLACES":
-            for module, names in ast.literal_eval(node.value).items():
-                for word in names.split():
-                    name, _, there = word.partition("=")
-                    found[name] = (f"sppm_pipeline.{module}", there or name)
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            found |= {alias.asname.removeprefix("_"): (node.module, alias.name) for alias in node.names}
     return found
 
 

@@ -113,13 +113,12 @@ def test_no_file_needs_a_file_that_needs_it():
 def test_the_faces_are_no_back_door_to_features():
     """What a file takes from a face lies where the file may import from: features are named there for plugins."""
     places = {}
-    for face in ("__init__.py", "nouns/__init__.py", "numerics.py", "pictures.py", "formats.py"):
-        tree = ast.parse((PACKAGE / face).read_text(encoding="utf-8"))
-        (table,) = (n.value for n in tree.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "_PLACES")
-        module = "sppm_pipeline." + face.removesuffix(".py").removesuffix("__init__").replace("/", ".")
-        for place, names in ast.literal_eval(table).items():
-            for entry in names.split():
-                places[module.rstrip("."), entry.partition("=")[0]] = place
+    for face in ("__init__.pyi", "nouns/__init__.pyi", "numerics.pyi", "pictures.pyi", "formats.pyi"):
+        module = "sppm_pipeline." + face.removesuffix(".pyi").removesuffix("__init__").replace("/", ".")
+        for node in ast.parse((PACKAGE / face).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom):
+                names = {(module.rstrip("."), alias.asname.removeprefix("_")) for alias in node.names}
+                places |= dict.fromkeys(names, node.module.removeprefix("sppm_pipeline."))
     wrong = []
     for path in python_files():
         ring, *rest = path.relative_to(PACKAGE).parts

@@ -79,9 +79,9 @@ def cell(
     from sppm_pipeline.engine.api.functions import make_function
     from sppm_pipeline.engine.api.pipeline import Pipeline
     from sppm_pipeline.engine.api.registering import registry
+    from sppm_pipeline.engine.config.configuration import stages_of
     from sppm_pipeline.engine.config.document import as_node, plain
     from sppm_pipeline.engine.config.options import options_of, plain_option
-    from sppm_pipeline.engine.config.presets import stages_of
     from sppm_pipeline.engine.config.problems import did_you_mean
     from sppm_pipeline.errors import ConfigError, Position
 

@@ -18,8 +18,8 @@ from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.wiring import Draft, wire
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.items import name_of
 from sppm_pipeline.engine.run.steps import StepRecipe
+from sppm_pipeline.engine.run.workers import name_of
 from sppm_pipeline.errors import Position
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.storage import load_value, save_value

@@ -15,12 +15,11 @@ import pytest
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run import crew as crew_module
-from sppm_pipeline.engine.run import items as items_module
+from sppm_pipeline.engine.run import workers as items_module
 from sppm_pipeline.engine.run.crew import WorkerPool
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.items import name_of
 from sppm_pipeline.engine.run.runner import run_plan
-from sppm_pipeline.engine.run.workers import Driver
+from sppm_pipeline.engine.run.workers import Driver, name_of
 from sppm_pipeline.errors import ConfigError, NativeCrash, PluginError
 from sppm_pipeline.nouns.storage import NotStorable
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -15,7 +15,7 @@ import pytest
 
 import sppm_pipeline.engine.run as run_package
 from sppm_pipeline.engine.files import digest_of, sync, sync_file_system, write_whole
-from sppm_pipeline.engine.run import digests
+from sppm_pipeline.engine.run import outputs
 from sppm_pipeline.engine.run.outputs import RunFolder
 from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.errors import ResourceError, SppmError
@@ -145,11 +145,11 @@ def test_folders_are_synced_after_their_names_have_changed(tmp_path, monkeypatch
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_many_files_are_synced_at_once(tmp_path, monkeypatch, whole):
-    monkeypatch.setattr(digests, "MAX_SYNCED", 3)
+    monkeypatch.setattr(outputs, "MAX_SYNCED", 3)
     synced, whole_systems = [], []
-    monkeypatch.setattr(digests, "sync", synced.append)
-    monkeypatch.setattr(digests, "sync_file_system", lambda path: (whole_systems.append(path), whole)[1])
-    files = digests.WrittenFiles(2)
+    monkeypatch.setattr(outputs, "sync", synced.append)
+    monkeypatch.setattr(outputs, "sync_file_system", lambda path: (whole_systems.append(path), whole)[1])
+    files = outputs.WrittenFiles(2)
     for name in "abcde":
         (tmp_path / name).write_text(name)
         files.sync(tmp_path / name)

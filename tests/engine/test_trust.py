@@ -6,7 +6,7 @@ import stat
 import pytest
 
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.plan import trust
+from sppm_pipeline.engine.plan import session
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 
 PLUGIN = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
@@ -15,7 +15,7 @@ PLUGIN = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
 @pytest.fixture
 def stranger(tmp_path, monkeypatch):
     """A folder from somebody else, and a user who has agreed to nothing yet."""
-    monkeypatch.delenv(trust.FOLDERS, raising=False)
+    monkeypatch.delenv(session.FOLDERS, raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(PLUGIN)
@@ -52,7 +52,7 @@ def test_what_is_trusted_is_remembered_by_its_content(stranger, capsys):
 
 
 def test_files_in_a_folder_of_ones_own_may_be_edited(stranger, monkeypatch):
-    monkeypatch.setenv(trust.FOLDERS, f"/nowhere:{stranger}")
+    monkeypatch.setenv(session.FOLDERS, f"/nowhere:{stranger}")
     for text in (PLUGIN, PLUGIN + "# edited\n"):
         (stranger / "own.py").write_text(text)
         assert main(["check", "part.yaml"]) == 0

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sppm_pipeline.engine.plan.estimate import History
     from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
-    from sppm_pipeline.engine.plan.rates import History
-    from sppm_pipeline.engine.plan.session import RunRequest, Session
-    from sppm_pipeline.engine.plan.trust import UntrustedError
+    from sppm_pipeline.engine.plan.session import RunRequest, Session, UntrustedError
     from sppm_pipeline.hookspecs import Command
 
 
@@ -74,8 +73,7 @@ def request_from(args: Namespace) -> RunRequest:
 
 def open_from(args: Namespace) -> Session:
     """Read the configuration and load the plugins; what has not run for this user before is asked for."""
-    from sppm_pipeline.engine.plan.session import open_session
-    from sppm_pipeline.engine.plan.trust import UntrustedError, trust
+    from sppm_pipeline.engine.plan.session import UntrustedError, open_session, trust
 
     request = request_from(args)
     try:
@@ -109,7 +107,7 @@ def run_folder(args: Namespace, session: Session) -> Path:
 def history_of_machine(args: Namespace) -> History:
     """Time and memory of runs with the same cache."""
     from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
-    from sppm_pipeline.engine.plan.rates import history_of
+    from sppm_pipeline.engine.plan.estimate import history_of
 
     folder = cache_folder(getattr(args, "cache", None))
     return history_of(open_store(folder) if folder is not None and folder.is_dir() else None)

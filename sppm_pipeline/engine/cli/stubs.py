@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
+import keyword
 import sysconfig
+import types
+import typing
 from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.config.options import Option, allowed_words, options_of
+from sppm_pipeline.engine.plan.describe import default_words
+from sppm_pipeline.engine.plan.ports import Port, signature_of
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.errors import PluginError
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.stage import FAMILIES, Stage
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -23,8 +37,6 @@ def execute(args: Namespace) -> int:
     """Print the stub of the built-in stages, or write a package with those of plugins."""
     from sppm_pipeline.engine.files import write_whole
     from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
-    from sppm_pipeline.engine.plan.registry import Registry
-    from sppm_pipeline.engine.plan.stubs import stub_text
 
     plugins = load_plugins(distributions=args.plugins, allowed=allowed_plugins() if args.plugins else None)
     plugins.raise_broken()
@@ -39,3 +51,136 @@ def execute(args: Namespace) -> int:
     write_whole(folder / "engine" / "api" / "stages.pyi", text)
     print(folder)
     return 0
+
+
+HEAD = """\
+# Written by `sppm stubs`, from the options and ports of the stages.
+# mypy: disable-error-code="overload-overlap"
+# pyright: reportOverlappingOverload=false
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Never, TypeAlias, overload
+
+from sppm_pipeline.engine.api.bound_stage import BoundStage
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.stage import Stage
+"""
+ALIASES = """
+_Step: TypeAlias = BoundStage[Any, Any] | Stage | Artifact | Mapping[str, Any] | str
+_Recipe: TypeAlias = Sequence[_Step] | Mapping[str, Any] | str
+_Sources: TypeAlias = str | Sequence[str] | Mapping[str, Any]
+"""
+
+
+def stub_text(registry: Registry) -> str:
+    """The stub of the module that holds the families; stages that can't be loaded are left out."""
+    imported: dict[str, set[str]] = {}
+    families: dict[str, list[str]] = {}
+    for name in registry:
+        family, _, word = name.partition(".")
+        if not word.isidentifier() or keyword.iskeyword(word) or not family.isidentifier():
+            continue
+        try:
+            cls = registry.get(name)
+            signature_of(cls)
+        except PluginError:
+            continue
+        families.setdefault(family, []).extend(_stage_lines(cls, word, imported))
+    lines = [HEAD.rstrip()]
+    for module, names in sorted(imported.items()):
+        lines.append(f"from {module} import {', '.join(sorted(names))}")
+    lines.append(ALIASES.rstrip())
+    for family, body in families.items():
+        lines += ["", f"class _{family.title()}:", f"    {_literal(f'Stages of the family {family}.')}", *body]
+        if family == "check":
+            check = "def __call__(self, config: Any, *, params: Mapping[str, Any] | None = None, "
+            lines.append(f"    {check}set: Mapping[str, Any] | None = None) -> tuple[str, ...]: ...")
+    lines += ["", "class _Steps:", *(f"    {family}: _{family.title()}" for family in families), "", "step: _Steps"]
+    lines += [f"{family}: _{family.title()}" for family in families]
+    lines += [f"{family}: Any" for family in FAMILIES if family not in families]
+    return "\n".join(lines) + "\n"
+
+
+def _stage_lines(cls: type[Stage], word: str, imported: dict[str, set[str]]) -> Iterator[str]:
+    signature = signature_of(cls)
+    ports = [port for port in signature.ports if not port.is_recipe]
+    taken = " | ".join(dict.fromkeys(_port_type(port, imported) for port in ports)) or "Never"
+    made = signature.makes or ((cls.returns,) if cls.returns is not None else ())
+    makes = " | ".join(_named(one, imported) for one in made)
+    if not makes:
+        writes = any(option.spec.output for option in options_of(cls).values())
+        makes = "Any" if signature.as_recipe else "list[Path]" if writes else "dict[str, Any]"
+    options = [_option(option) for option in options_of(cls).values()]
+    recipes = [port for port in signature.ports if port.is_recipe]
+    recipe = ["recipe: _Recipe | None = ..."] if recipes else []
+    step = f"BoundStage[{taken}, {makes}]"
+    needs = any(not port.optional for port in ports)
+    draws = cls.is_random or bool(recipes and not recipes[0].optional)
+    named = [f"{port.name}: {_port_type(port, imported)} | None = ..." for port in ports]
+    artifacts = (
+        f"*artifacts: {' | '.join(dict.fromkeys(_named(t, imported) for p in ports for t in p.types))}"
+        if ports
+        else "*"
+    )
+    seed = "seed: int" if draws and not needs else "seed: int | None = ..."
+    of_run = [seed, "threads: int | None = ...", "output: str | Path | None = ..."]
+    of_step = ["id: str | None = ...", "sources: _Sources | None = ..."]
+    if not (needs or draws):
+        of_step[0] = "id: str"
+    run = f"def {word}(self, {', '.join([artifacts, *named, *recipe, *of_run, *options])}) -> {makes}: "
+    later = f"def {word}(self, {', '.join(['*', *recipe, *of_step, *options])}) -> {step}: "
+    # the first that fits counts: what is given artifacts or a seed runs, else it is a step
+    first, second = (later, run) if needs else (run, later)
+    yield "    @overload"
+    yield f"    {first}{_literal(_doc(cls))}"
+    yield "    @overload"
+    yield f"    {second}..."
+
+
+def _doc(cls: type[Stage]) -> str:
+    lines = [inspect.getdoc(cls) or "", ""]
+    for option in options_of(cls).values():
+        default = "required" if option.required else f"default {default_words(option)}"
+        lines.append(f"{option.name}: {allowed_words(option)}; {default}. {option.spec.help}\n")
+    return "\n".join(lines).strip()
+
+
+def _literal(text: str) -> str:
+    # always in double quotes, as formatters have it
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+def _named(kind: type, imported: dict[str, set[str]]) -> str:
+    if kind is object:
+        return "Any"
+    imported.setdefault(kind.__module__, set()).add(kind.__qualname__)
+    return kind.__qualname__
+
+
+def _port_type(port: Port, imported: dict[str, set[str]]) -> str:
+    words = " | ".join(_named(one, imported) for one in port.types)
+    return f"{words} | Sequence[{words}]" if port.many else words
+
+
+def _option(option: Option) -> str:
+    words = _option_type(option.kind, option)
+    return f"{option.name}: {words}" if option.required else f"{option.name}: {words} = ..."
+
+
+def _option_type(kind: Any, option: Option) -> str:
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return " | ".join(dict.fromkeys(_option_type(member, option) for member in typing.get_args(kind)))
+    if typing.get_origin(kind) is tuple:
+        elements = [one for one in typing.get_args(kind) if one is not Ellipsis]
+        return f"Sequence[{' | '.join(dict.fromkeys(_option_type(one, option) for one in elements))}]"
+    if kind is str and option.spec.choices:
+        return f"Literal[{', '.join(map(_literal, option.spec.choices))}]"
+    return _TYPES[kind]
+
+
+_TYPES = {
+    bool: "bool", int: "int", float: "float", str: "str", Path: "str | Path", Length: "float | str | Length",
+    types.NoneType: "None",
+}  # fmt: skip

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sppm_pipeline.engine.config.problems import Problems, raise_problems
-from sppm_pipeline.engine.plan.estimate import NONE_SEEN, PlanEstimate, estimate_plan, unfit_problems
+from sppm_pipeline.engine.plan.estimate import NONE_SEEN, History, PlanEstimate, estimate_plan, unfit_problems
 from sppm_pipeline.engine.plan.inputs import TableNames, missing_inputs
 from sppm_pipeline.engine.plan.planning import Drafts, Plan, draft_plan, wire_plan
-from sppm_pipeline.engine.plan.rates import History
 from sppm_pipeline.engine.plan.session import Row, Session
 from sppm_pipeline.errors import ConfigError, SppmError
 

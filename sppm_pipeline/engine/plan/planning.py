@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sppm_pipeline.engine.config.configuration import FORMAT, Configuration, StageEntry, stage_entries
+from sppm_pipeline.engine.config.configuration import (
+    FORMAT,
+    Configuration,
+    StageEntry,
+    expanded,
+    stage_entries,
+    stages_of,
+)
 from sppm_pipeline.engine.config.document import Entry, Node, as_node, plain
 from sppm_pipeline.engine.config.names import clashes
 from sppm_pipeline.engine.config.options import (
@@ -21,7 +28,6 @@ from sppm_pipeline.engine.config.options import (
     with_current_names,
 )
 from sppm_pipeline.engine.config.parameters import Overrides, override_options, override_params, put_in
-from sppm_pipeline.engine.config.presets import expanded, stages_of
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, raise_problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.config.configuration import AUDITS, FORMAT, KEYS
+from sppm_pipeline.engine.config.configuration import AUDITS, FORMAT, KEY, KEYS
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option
-from sppm_pipeline.engine.config.presets import KEY
 from sppm_pipeline.engine.plan.describe import purpose_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry

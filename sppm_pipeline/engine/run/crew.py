@@ -18,9 +18,8 @@ from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import LISTENING, default_executor, make_executor, stop_workers
-from sppm_pipeline.engine.run.items import Kept, Task, name_of, run_item
 from sppm_pipeline.engine.run.outputs import staging_name
-from sppm_pipeline.engine.run.workers import Driver, announced
+from sppm_pipeline.engine.run.workers import Driver, Kept, Task, announced, name_of, run_item
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, described
 from sppm_pipeline.nouns.storage import save_value
 

@@ -11,15 +11,29 @@ import socket
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import RECORD_KEY
-from sppm_pipeline.engine.config.names import REPORT, collide, folded, output_parts
-from sppm_pipeline.engine.config.names import STAGING as _STAGING
-from sppm_pipeline.engine.files import DISK, clear, make_folder, put_into_place, remove, size_of, write_whole
+from sppm_pipeline.engine.config.names import REPORT, STAGING, collide, folded, output_parts
+from sppm_pipeline.engine.files import (
+    DISK,
+    clear,
+    file_digest,
+    files_in,
+    make_folder,
+    put_into_place,
+    remove,
+    size_of,
+    sync,
+    sync_file_system,
+    tree_digest,
+    write_whole,
+)
 from sppm_pipeline.engine.locks import CLAIM, FolderLock
-from sppm_pipeline.engine.run.digests import WrittenFiles
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 RECORD = "run.json"
 SUMS = "SHA256SUMS"
@@ -29,7 +43,7 @@ SWEEP_RUNS = "runs"
 def staging_name() -> str:
     """A name in a run directory that no process of any machine has given."""
     host = "".join(char for char in socket.gethostname()[:64] if char.isalnum() or char in "-.")
-    return f"{_STAGING}{host}-{os.getpid()}-{secrets.token_hex(3)}"
+    return f"{STAGING}{host}-{os.getpid()}-{secrets.token_hex(3)}"
 
 
 class RunFolder:
@@ -231,7 +245,7 @@ class RunFolder:
         # a counter, as several outputs may make way
         self._places += 1
         self._staging.mkdir(exist_ok=True)
-        return self._staging / f"{_STAGING}{self._places}"
+        return self._staging / f"{STAGING}{self._places}"
 
 
 class Scratch:
@@ -269,7 +283,7 @@ class Scratch:
 def is_run(path: Path) -> bool:
     """True if a folder is that of a run, or empty but for what a run had begun."""
     if not (path / RECORD).is_file():
-        return all(child.name.startswith((_STAGING, f".{RECORD}.")) or child.name == CLAIM for child in path.iterdir())
+        return all(child.name.startswith((STAGING, f".{RECORD}.")) or child.name == CLAIM for child in path.iterdir())
     with (path / RECORD).open("rb") as file:
         return f'"{RECORD_KEY}"'.encode() in file.read(200)
 
@@ -316,5 +330,121 @@ def _remove_unfinished(path: Path) -> None:
     for name in (RECORD, SUMS, "sweep.csv", "sweep.json"):
         for half in path.glob(f".{name}.*"):
             half.unlink(missing_ok=True)
-    for staging in path.glob(f"{_STAGING}*"):
+    for staging in path.glob(f"{STAGING}*"):
         clear(staging)
+
+
+_FILES_PER_TASK = 16
+"""Files that one task of the threads reads or syncs; not sensitive: enough that the queue costs nothing."""
+
+MAX_SYNCED = 4096
+"""Files that are synced one by one; more are by one syncfs(2) at the end, as each file costs the disk a commit."""
+
+
+class WrittenFiles:
+    """The outputs of a run: what each is described by in the record, and whether the disk has them."""
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._sums: dict[str, str] = {}
+        self._hashed: dict[str, tuple[int, int, str]] = {}
+        self._syncing: list[Future[None]] = []
+        self._folders: set[str] = set()
+        self._unsynced: list[str] = []
+        self._begun = 0
+        self._pool: ThreadPoolExecutor | None = None
+
+    def hashed(self, name: str, path: Path, sha256: str) -> None:
+        """Take the digest of a file from its writer; it counts as long as the file is left as it is."""
+        about = path.stat()
+        self._hashed[name] = (about.st_size, about.st_mtime_ns, sha256)
+
+    def described(self, name: str, path: Path) -> dict[str, Any]:
+        """Size, number of files and digest of an output that lies at `path`."""
+        folder = path.is_dir()
+        inside = files_in(path) if folder else [""]
+        about = path.stat()
+        # a writer that hashed while it wrote saves reading gigabytes again; size and time tell later changes
+        size, time, known = self._hashed.pop(name, (-1, -1, ""))
+        if not folder and (size, time) == (about.st_size, about.st_mtime_ns):
+            read = [(known, size)]
+        elif len(inside) > 1:
+            names = [os.path.join(path, relative) for relative in inside]
+            read = [one for part in self._workers().map(_digests, _parts(names)) for one in part]
+        else:
+            read = [file_digest(path / relative if relative else path) for relative in inside]
+        digests = [digest for digest, _ in read]
+        described: dict[str, Any] = {"path": name, "bytes": sum(size for _, size in read)}
+        if folder:
+            described["files"] = len(inside)
+            described["sha256"] = tree_digest(dict(zip(inside, digests, strict=True)))
+        else:
+            described["sha256"] = digests[0]
+        for relative, digest in zip(inside, digests, strict=True):
+            self._sums[f"{name}/{relative}" if relative else name] = digest
+        return described
+
+    def sums(self, outputs: Collection[str]) -> str:
+        """Digests of all files of these outputs, as ``sha256sum -c`` reads them; a line for each file."""
+        return "".join(
+            f"{digest}  {name}\n"
+            for name, digest in sorted(self._sums.items())
+            if any(name == output or name.startswith(f"{output}/") for output in outputs)
+        )
+
+    def sync(self, path: Path, renamed_in: Collection[Path] = ()) -> None:
+        """Begin to wait until the disk has an output, and remember the folders whose names have changed."""
+        inside = files_in(path) if path.is_dir() else None
+        files = [str(path)] if inside is None else [os.path.join(path, name) for name in inside]
+        self.changed(renamed_in)
+        if inside is not None:
+            # names in a folder are data of the folder: without its sync a file may be there without a name
+            self._folders |= {str(path), *(os.path.dirname(file) for file in files)}
+        left = max(0, MAX_SYNCED - self._begun)
+        self._begun += len(files)
+        self._unsynced += files[left:]
+        for part in _parts(files[:left]):
+            self._syncing.append(self._workers().submit(_sync_all, part))
+
+    def changed(self, folders: Collection[Path]) -> None:
+        """Remember folders in which names have changed."""
+        self._folders |= {os.fspath(folder) for folder in folders}
+
+    def settle(self) -> None:
+        """Wait until the disk has all of them; `OSError` if it failed to take one."""
+        # every job is waited for, so that none touches a file after an error was reported
+        errors = [error for job in self._syncing if (error := job.exception()) is not None]
+        self._syncing.clear()
+        if errors:
+            raise errors[0]
+        if self._unsynced and not sync_file_system(os.path.dirname(self._unsynced[0])):
+            _sync_all(self._unsynced)
+        self._unsynced.clear()
+        _sync_all(sorted(self._folders))
+        self._folders.clear()
+
+    def close(self) -> None:
+        """End the threads, whatever they still wait for."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def _workers(self) -> ThreadPoolExecutor:
+        if self._pool is None:
+            from concurrent.futures import ThreadPoolExecutor
+
+            self._pool = ThreadPoolExecutor(max(2, self._threads), thread_name_prefix="sppm-files")
+        return self._pool
+
+
+def _parts(paths: Sequence[str]) -> list[Sequence[str]]:
+    return [paths[first : first + _FILES_PER_TASK] for first in range(0, len(paths), _FILES_PER_TASK)]
+
+
+def _sync_all(paths: Sequence[str]) -> None:
+    for path in paths:
+        sync(path)
+
+
+def _digests(paths: Sequence[str]) -> list[tuple[str, int]]:
+    return [file_digest(path) for path in paths]

@@ -66,7 +66,7 @@ trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
 least_strain = _shared("strain that must be reached", maximum=0.8)
 accuracy = _shared("largest relative error of what is tuned", above=0, below=0.5)
 draws = _shared("number of independent draws", minimum=1)
-evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
+evaluations: Callable[..., Any] = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 
 # solvers and materials
 EACH_PHASE = "or of each phase from 1 on"

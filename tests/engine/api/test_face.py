@@ -121,20 +121,21 @@ def test_whatever_a_public_signature_names_is_public():
 
 @pytest.mark.parametrize("face", FACES.values(), ids=FACES)
 def test_type_checkers_see_the_same_names_in_the_same_places(face):
-    tree = ast.parse(Path(face.__file__).read_text(encoding="utf-8"))
-    (block,) = (node for node in tree.body if isinstance(node, ast.If))
-    seen = {
-        (node.module.removeprefix("sppm_pipeline."), alias.name, alias.asname.removeprefix("_"))
-        for node in block.body
-        if isinstance(node, ast.ImportFrom) and node.module.startswith("sppm_pipeline.")
+    """The stub says where each name is, and that is what a user gets."""
+    tree = ast.parse(Path(face.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    places = {
+        alias.asname: (node.module, alias.name)
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and node.module != "sppm_pipeline"
         for alias in node.names
     }
-    listed = {
-        (module, there or public, public)
-        for module, names in face._PLACES.items()
-        for public, _, there in (entry.partition("=") for entry in names.split())
-    }
-    assert seen == listed
+    renamed = {node.targets[0].id: node.value.id for node in tree.body if isinstance(node, ast.Assign)}
+    names = {name for name in places if name not in renamed.values()} | renamed.keys()
+    assert names == set(face.__all__)
+    for name in names:
+        module, there = places[renamed.get(name, name)]
+        found = importlib.import_module(module)
+        assert getattr(found, there) is getattr(face, name)
     assert (Path(sppm.__file__).parent / "py.typed").is_file()
 
 

@@ -11,10 +11,10 @@ import pytest
 
 import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.cli.stubs import stub_text
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.engine.plan.stubs import stub_text
 
 ROOT = Path(sppm.__file__).parents[1]
 CODE = """

@@ -14,7 +14,7 @@ import pytest
 
 from sppm_pipeline.engine.cli.limits import size
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.plan import estimate, rates
+from sppm_pipeline.engine.plan import estimate
 from sppm_pipeline.engine.process import budget
 from sppm_pipeline.nouns.size import Size
 from tests.built_in import BUILT_IN
@@ -195,7 +195,7 @@ def test_a_sweep_counts_all_its_runs(here, capsys):
     found = estimated(capsys, "sweep.yaml")
     assert found["runs"] == 3
     assert found["disk_bytes"] == pytest.approx(sum(row["disk_bytes"] for row in one), rel=1e-6)
-    start = rates.table()["sppm"]["seconds"]["1"] + found["compiling_seconds"]  # once, as the rows share a process
+    start = estimate.table()["sppm"]["seconds"]["1"] + found["compiling_seconds"]  # once, as the rows share a process
     assert found["seconds"] == pytest.approx(sum(row["seconds"] for row in one) - 2 * start, abs=3e-3)
 
 
@@ -300,20 +300,20 @@ def test_a_machine_is_learned_from_its_cache(here, capsys, monkeypatch):
     for name, stage in record.items():
         assert after[name]["seconds"] == pytest.approx(stage["seconds"], rel=1e-2, abs=2e-4), name
         memory = after[name]["memory_bytes"] / (1e6 * stage["peak_memory_mb"])
-        assert memory == pytest.approx(rates.MARGIN, rel=5e-3), name
+        assert memory == pytest.approx(estimate.MARGIN, rel=5e-3), name
     monkeypatch.setenv("SPPM_CACHE", "off")
     assert {stage["id"]: stage for stage in estimated(capsys, *words)["stages"]} != after
 
 
 def test_the_run_that_is_nearest_in_size_counts():
-    seen = [rates.Seen(1.0, 2.0, 1e8, 2e8), rates.Seen(8.0, 4.0, 8e8, 8e8), rates.Seen(1.01, 3.0, 1e8, 0.0)]
-    seconds, memory = rates.by_history(seen, 1.0, 1.5e8)
+    seen = [estimate.Seen(1.0, 2.0, 1e8, 2e8), estimate.Seen(8.0, 4.0, 8e8, 8e8), estimate.Seen(1.01, 3.0, 1e8, 0.0)]
+    seconds, memory = estimate.by_history(seen, 1.0, 1.5e8)
     assert seconds == pytest.approx(3.0 / 1.01)  # the latest of two of this size
-    assert memory == pytest.approx(3e8 * rates.MARGIN)  # one had compiled
-    seconds, memory = rates.by_history(seen, 16.0, 4e8)
+    assert memory == pytest.approx(3e8 * estimate.MARGIN)  # one had compiled
+    seconds, memory = estimate.by_history(seen, 16.0, 4e8)
     assert seconds == 8.0
-    assert memory == pytest.approx(4e8 * rates.MARGIN)
-    assert rates.by_history([], 5.0, 6.0) == (5.0, 6.0)
+    assert memory == pytest.approx(4e8 * estimate.MARGIN)
+    assert estimate.by_history([], 5.0, 6.0) == (5.0, 6.0)
 
 
 def test_what_is_remembered_stays_small(tmp_path):
@@ -321,11 +321,11 @@ def test_what_is_remembered_stays_small(tmp_path):
 
     store = Store(tmp_path)
     for number in range(40):
-        rates.remember(store, [("a", rates.Seen(2.0**number, 1.0, 1e8, 1e8))])
-    assert len(rates.history_of(store)["a"]) == rates.MAX_SEEN
-    file = tmp_path / rates.HISTORY
+        estimate.remember(store, [("a", estimate.Seen(2.0**number, 1.0, 1e8, 1e8))])
+    assert len(estimate.history_of(store)["a"]) == estimate.MAX_SEEN
+    file = tmp_path / estimate.HISTORY
     before = file.stat().st_mtime_ns
-    rates.remember(store, [("a", rates.Seen(2.0**39, 1.01, 1e8, 1.001e8))])  # which says the same
+    estimate.remember(store, [("a", estimate.Seen(2.0**39, 1.01, 1e8, 1.001e8))])  # which says the same
     assert file.stat().st_mtime_ns == before
 
 
@@ -352,7 +352,7 @@ def test_the_table_of_rates_fits_the_program():
     columns, units = {"seconds", "memory", "kept", "disk"}, {field.name for field in fields(Size)}
     formats = ("stl", "ply", "obj", "off", "3mf", "glb", "vtu", "inp", "msh", "npy", "tiff", "vti")
     names = {*BUILT_IN, *(f"write.{extension}" for extension in formats)}
-    for name, entry in rates.table().items():
+    for name, entry in estimate.table().items():
         assert name == "sppm" or name in names or name.rpartition(".")[0] in names, name
         assert set(entry) == columns
         for found in entry.values():

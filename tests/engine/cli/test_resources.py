@@ -160,7 +160,7 @@ def test_a_full_disk_of_the_cache(here, small_disk, monkeypatch):
     assert done.returncode == 0, done.stderr
     assert "part.stl" in left(here / "out")
     from sppm_pipeline.engine.cache.store import Store
-    from sppm_pipeline.engine.plan.rates import Seen, remember
+    from sppm_pipeline.engine.plan.estimate import Seen, remember
 
     remember(Store(small_disk / "cache"), [("write.mesh", Seen(2.0, 1.0, 1e8, 1e8))])  # which is not worth an error
     assert not (small_disk / "cache").exists() or not any((small_disk / "cache").glob("*.json"))

@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sppm_pipeline.engine.config.configuration import KEY as PRESET
 from sppm_pipeline.engine.config.configuration import MAX_SEED
 from sppm_pipeline.engine.config.document import Node
 from sppm_pipeline.engine.config.options import Option, allowed_words, options_of, plain_option
-from sppm_pipeline.engine.config.presets import KEY as PRESET
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Step
