@@ -24,16 +24,18 @@ VERBS = {
 }
 """Verb of the engine -> what it does; features bring theirs by the hook `sppm_commands`."""
 
-_DESCRIBING = ("explain", "stages", "graph", "schema")
-"""Verbs that share the module `describe`; of the others, each has a module of its own."""
-
-_PACKAGE = "sppm_pipeline.engine.cli"
+_MODULES = {
+    **dict.fromkeys(("check", "explain", "estimate", "stages", "graph", "schema"), "describe"),
+    **dict.fromkeys(("plugins", "doctor"), "installation"),
+    **dict.fromkeys(("verify", "cache"), "kept"),
+}
+"""Modules that verbs share; each of the others has one of its own."""
 
 
 def place_of(verb: str) -> tuple[str, str]:
     """Functions that declare the arguments of a verb of the engine, and that execute it, as "module:function"."""
-    module, ending = ("describe", f"_{verb}") if verb in _DESCRIBING else (verb, "")
-    return f"{_PACKAGE}.{module}:configure{ending}", f"{_PACKAGE}.{module}:execute{ending}"
+    module = f"sppm_pipeline.engine.cli.{_MODULES.get(verb, verb)}"
+    return f"{module}:configure_{verb}", f"{module}:execute_{verb}"
 
 
 @hookimpl

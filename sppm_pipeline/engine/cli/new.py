@@ -37,7 +37,7 @@ FORMER_KINDS = ("connector", "tiler", "executor")
 PLUGINS_PAGE = "docs/explanation/architecture.md#plugins-without-a-template"
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_new(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("what", choices=("pipeline", "plugin"), help="what to write")
     parser.add_argument("name", metavar="NAME", help="name of the design or of the distribution")
@@ -50,7 +50,7 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", default=Path(), help="folder to write into; here")
 
 
-def execute(args: Namespace) -> int:
+def execute_new(args: Namespace) -> int:
     """Write it."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", args.name):
         raise ConfigError(f"a name consists of letters, digits, _ and - and starts with a letter, got {args.name!r}")

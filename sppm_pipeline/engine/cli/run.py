@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.cli.arguments import (
     add_cache,
     add_configuration,
+    add_limits,
     cache_of,
     history_of_machine,
+    limits_of,
     open_from,
     run_folder,
+    seconds,
 )
-from sppm_pipeline.engine.cli.limits import add_limits, limits_of, seconds
 from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ LINE = 100
 usual terminal."""
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_run(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
     add_limits(parser)
@@ -93,7 +95,7 @@ def _retries(text: str) -> int:
     return int(text)
 
 
-def execute(args: Namespace) -> int:
+def execute_run(args: Namespace) -> int:
     """Run."""
     if args.time_limit is not None:
         from sppm_pipeline.engine.process.activity import limit_run
@@ -109,9 +111,9 @@ def execute(args: Namespace) -> int:
 
 def _execute(args: Namespace) -> int:
     if args.dry_run:
-        from sppm_pipeline.engine.cli import check
+        from sppm_pipeline.engine.cli.describe import execute_check
 
-        return check.execute(args)
+        return execute_check(args)
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.cli.kernels import compiling_ahead
     from sppm_pipeline.engine.config.problems import raise_problems

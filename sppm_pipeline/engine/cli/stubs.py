@@ -21,7 +21,7 @@ from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import FAMILIES, Stage
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_stubs(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument(
         "--plugins",
@@ -33,7 +33,7 @@ def configure(parser: ArgumentParser) -> None:
     )
 
 
-def execute(args: Namespace) -> int:
+def execute_stubs(args: Namespace) -> int:
     """Print the stub of the built-in stages, or write a package with those of plugins."""
     from sppm_pipeline.engine.files import write_whole
     from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.engine.cli.limits import size
+from sppm_pipeline.engine.cli.arguments import size
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.plan import estimate
 from sppm_pipeline.engine.process import budget

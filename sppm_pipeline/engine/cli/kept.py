@@ -1,13 +1,14 @@
-"""``sppm cache``: what is kept between runs, whether it is sound, and how to make it smaller."""
+"""``sppm cache`` and ``verify``: what is kept between runs, and in run directories, and whether it is sound."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_cache(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument(
         "what",
@@ -29,10 +30,11 @@ def _size(text: str) -> int:
         raise ArgumentTypeError(str(error)) from None
 
 
-def execute(args: Namespace) -> int:
+def execute_cache(args: Namespace) -> int:
     """Look, check or clear up."""
     from sppm_pipeline.engine.cache.housekeeping import cache_cap, cache_folder, contents, damaged_entries, prune
     from sppm_pipeline.engine.cache.store import Store
+    from sppm_pipeline.engine.process.budget import format_bytes
     from sppm_pipeline.errors import ConfigError
 
     folder = cache_folder(args.cache)
@@ -48,7 +50,7 @@ def execute(args: Namespace) -> int:
                 entries = contents(store)
                 size = sum(entry.bytes for entry in entries)
                 found |= {"entries": len(entries), "bytes": size, "cap": cap}
-                text = f"{folder}: {len(entries)} results, {_words(size)}; kept below {_words(cap)}"
+                text = f"{folder}: {len(entries)} results, {format_bytes(size)}; kept below {format_bytes(cap)}"
             case "verify":
                 damaged = damaged_entries(store)
                 code = 3 if damaged else 0
@@ -58,16 +60,38 @@ def execute(args: Namespace) -> int:
             case _:
                 removed, left = prune(store, cap)
                 found |= {"removed": removed, "bytes": left}
-                text = f"{folder}: {removed} results removed, {_words(left)} left"
+                text = f"{folder}: {removed} results removed, {format_bytes(left)} left"
     finally:
         store.close()
     print(json.dumps(found, indent=1) if args.json else text)
     return code
 
 
-def _words(size: int) -> str:
-    """A size for people."""
-    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size >= factor:
-            return f"{size / factor:.3g} {unit}"
-    return f"{size} bytes"
+def configure_verify(parser: ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    parser.add_argument("--extra-ok", action="store_true", help="do not mind files that no stage has written")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+
+
+def execute_verify(args: Namespace) -> int:
+    """Check, and list what is wrong."""
+    from sppm_pipeline.engine.run.runner import available_threads
+    from sppm_pipeline.engine.run.verification import differences, verify_run
+
+    found, files = verify_run(args.directory, available_threads())
+    if args.extra_ok:
+        found = [finding for finding in found if finding.kind != "extra"]
+    differs = differences(args.directory)
+    if args.json:
+        findings = [dataclasses.asdict(f) for f in found]
+        print(json.dumps({"files": files, "findings": findings, "differences": differs}, indent=1))
+    else:
+        for finding in found:
+            print(f"{finding.kind:10s} {finding.path}" + (f": {finding.detail}" if finding.detail else ""))
+        print(f"{args.directory}: {files} files, {len(found) or 'no'} findings" if found else
+              f"{args.directory}: {files} files, all as they were written")  # fmt: skip
+        if differs:
+            print("a repeat of this run on this machine may differ in last digits, and so in bytes:")
+            print("".join(f"  {line}\n" for line in differs), end="")
+    return 3 if found else 0
