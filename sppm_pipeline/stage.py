@@ -358,7 +358,8 @@ class Stage(ABC):
         Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. A
         `ConfigError`, of options that do not fit the inputs, is reported by a check before any work. What raises
         `LookupError`, because the geometry of an input is unknown, or another error of this program, is unknown as
-        well; other errors trigger a warning, as mistakes.
+        well; other errors trigger a warning, as mistakes. A stage that states none and makes nothing, numbers, or what
+        it takes in another form, is as large as what it takes, on a grid if it has a `resolution`.
         """
         return None
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -235,6 +236,15 @@ class Size:
             geometry=self.geometry,
             **changes,
         )
+
+
+def sum_of(sizes: Sequence[Size]) -> Size:
+    """All counts together, with the first design and the first geometry that is known."""
+    counts = Counter[str]()
+    for size in sizes:
+        counts.update(size.units())
+    design = next((size.design for size in sizes if size.design is not None), None)
+    return Size(design=design, geometry=next((s.geometry for s in sizes if s.geometry is not None), None), **counts)
 
 
 RecipeSize = Callable[..., Size]

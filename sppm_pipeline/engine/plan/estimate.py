@@ -9,17 +9,20 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sppm_pipeline.engine.plan.kernels import MIN_SECONDS_AHEAD, SWITCH, has_compiled, missing_of
-from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
 from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 from sppm_pipeline.errors import ConfigError, ResourceError, SppmError, described
 from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import ONE, RecipeSize, Size
+from sppm_pipeline.nouns.report import Report
+from sppm_pipeline.nouns.size import ONE, RecipeSize, Size, sum_of
+from sppm_pipeline.stage import Stage
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
@@ -219,7 +222,7 @@ def estimate_plan(
     base = program.memory + (LEFT_BY_ROWS if of_sweep else 0.0)
     stages = estimate_steps(steps, plan.recipes, ONE, base, history)
     if of_sweep and until is None:
-        after = estimate_steps(plan.after, {}, ONE, base, history)
+        after = estimate_steps(plan.after, {}, ONE, base, history, {SWEEP_ID: Size()})
         program = program._replace(
             seconds=program.seconds + sum(stage.cost.seconds for stage in after if stage.cost),
             memory=max([base, *(stage.resident for stage in after)]),
@@ -250,9 +253,10 @@ def estimate_steps(
     palette: Palette,
     base: float,
     history: History,
+    available: Mapping[str, Size | None] = MappingProxyType({}),
 ) -> tuple[StageEstimate, ...]:
-    """Estimate stages in order; `base` are bytes that are resident before the first."""
-    sizes: dict[str, Size | None] = {}
+    """Estimate stages in order; `base` are bytes that are resident before the first, `available` what is there."""
+    sizes = dict(available)
     kept: dict[str, float] = {}
     found: list[StageEstimate] = []
     for step, done in zip(steps, last_uses(steps), strict=True):
@@ -333,8 +337,10 @@ def _size(
     inputs |= {port: (sizes.get(source) or unknown[port]) if source else None for port, source in step.inputs.items()}
     made_by = {port: recipe_size(name) for port, name in step.recipes.items()}
     follows = any(source is not None and sizes.get(source) is None for source in step.inputs.values())
+    given = {**step.signature.gathered(inputs), **made_by}
     try:
-        size = step.stage.estimate(palette, **{**step.signature.gathered(inputs), **made_by})
+        usual = type(step.stage).estimate is Stage.estimate
+        size = _usual_size(step, given.values()) if usual else step.stage.estimate(palette, **given)
         valid = isinstance(size, Size) and all(math.isfinite(n) and n >= 0 for n in size.units().values())
     except ConfigError as error:
         if follows:
@@ -353,6 +359,28 @@ def _size(
             )
         return None
     return size if valid else None
+
+
+def _usual_size(step: Step, given: Iterable[Any]) -> Size | None:
+    """The size of a stage that states none: of what it is given, or of what its recipe makes.
+
+    On a grid if it has a `resolution`, with a picture if it has an `image_size`. Nothing follows of results of another
+    kind, unless they are numbers.
+    """
+    stage, ports = step.stage, step.signature.ports
+    kinds = (Report, *(kind for port in ports for kind in port.types))
+    if not ports or not (step.signature.as_recipe or all(issubclass(made, kinds) for made in step.makes)):
+        return None
+    if step.signature.as_recipe:
+        (made,) = (recipe() for recipe in given if callable(recipe))
+        return Size(design=made.design, geometry=made.geometry)
+    parts = [part for one in given for part in (one if isinstance(one, tuple) else (one,)) if isinstance(part, Size)]
+    size = sum_of(parts)
+    if hasattr(stage, "resolution") and not size.voxels:
+        grid = size.grid(stage.resolution)
+        size = replace(size, samples=grid.samples, sums=grid.sums, resident=grid.resident)
+    pixels = float(math.prod(stage.image_size)) if hasattr(stage, "image_size") else size.pixels
+    return replace(size, pixels=pixels)
 
 
 def unfit_problems(

@@ -12,8 +12,6 @@ from typing import IO, ClassVar, Protocol
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.nouns.palette import Palette
-from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.threads import computed_ahead
 from sppm_pipeline.stage import Context, Stage
 
@@ -102,9 +100,6 @@ class MeshWriter(Stage):
     path: str
 
     advice: ClassVar[str] = ADVICE
-
-    def estimate(self, palette: Palette, mesh: Size) -> Size:
-        return Size(triangles=mesh.triangles, copies=mesh.copies)
 
     @abstractmethod
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterable[bytes | memoryview]:

@@ -15,6 +15,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.stage import Context, Stage, option
@@ -206,9 +207,18 @@ class Homogenizer(Stage):
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Memory of the solver in single precision, with as many load cases at a time as there are threads."""
 
-    def solving(self, source: Size, resolution: int, repeats: float = 1.0) -> Size:
+    @property
+    def effort(self) -> float:
+        """Work for a field over that of one solution on its grid."""
+        return 1.0
+
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        return self.solving(source)
+
+    def solving(self, source: Size, repeats: float = 1.0) -> Size:
         """The size of solving the problem of a field or of an image."""
-        grid = Size(voxels=source.voxels) if source.voxels else source.grid(resolution)
+        grid = Size(voxels=source.voxels) if source.voxels else source.grid(self.resolution)
+        repeats *= 1.0 if source.voxels else self.effort
         # double precision takes twice the memory
         voxels = (source.voxels or grid.samples) * (2 if self.precision == "double" else 1)
         return Size(

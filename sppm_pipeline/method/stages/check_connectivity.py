@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, Headline, Palette, Rejected, ScalarField, Size, Stage, Tiling, option, options
+from sppm_pipeline import Context, Headline, Rejected, ScalarField, Stage, Tiling, option, options
 from sppm_pipeline.method.connectivity.removal import check_removal, removal_warning
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.wrapped import CleanedField
@@ -47,9 +47,6 @@ class CheckConnectivity(Stage):
         choices=("auto", "remove", "reject", "keep"),
     )
     bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")
-
-    def estimate(self, palette: Palette, field: Size) -> Size:
-        return field.grid(self.resolution)
 
     def run(self, context: Context, field: ScalarField) -> ScalarField:
         """Label both phases; the result is the field, without islands if they are removed."""

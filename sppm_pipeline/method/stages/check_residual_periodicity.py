@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import Context, DesignError, Palette, Size, Stage, Tiling, options
+from sppm_pipeline import Context, DesignError, Stage, Tiling, options
 from sppm_pipeline.method.fields.wrapped import RepeatedField
 from sppm_pipeline.services.grid import cell_centers
 
@@ -31,9 +31,6 @@ class CheckResidualPeriodicity(Stage):
     path: str | None = options.write_path(
         None, note="three sections through the mean cell; none if omitted", suffixes=(".png",)
     )
-
-    def estimate(self, palette: Palette, tiling: Size) -> Size:
-        return tiling.grid(self.resolution)
 
     def run(self, context: Context, tiling: Tiling | RepeatedField) -> None:
         """Sample the whole assembly and compare its cells."""

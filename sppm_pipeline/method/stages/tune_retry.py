@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline import Context, DesignError, Palette, Recipe, RecipeSize, Rejected, Size, Stage, option
+from sppm_pipeline import Context, DesignError, Recipe, Rejected, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,11 +20,6 @@ class Retry(Stage):
     reported: ClassVar[tuple[str, ...]] = ("attempts",)
 
     attempts: int = option(20, help="maximum number of draws", minimum=1, maximum=100_000)
-
-    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
-        # how often a check rejects is not known beforehand
-        made = recipe(palette)
-        return Size(design=made.design, geometry=made.geometry)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Draw until accepted."""

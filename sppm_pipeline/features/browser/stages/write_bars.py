@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, Table, option, options
+from sppm_pipeline import ConfigError, Context, Stage, Table, option, options
 from sppm_pipeline.nouns.table import check_columns
 
 MAX_ROWS = 200
@@ -39,9 +39,6 @@ class WriteBars(Stage):
 
         check_columns(self.columns, self.headings)
         check_chart(self.path, title=self.title, **{f"headings[{n}]": text for n, text in enumerate(self.headings)})
-
-    def estimate(self, palette: Palette, table: Size) -> Size:
-        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the panels."""

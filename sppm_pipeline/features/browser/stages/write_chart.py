@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, Table, option, options
+from sppm_pipeline import ConfigError, Context, Stage, Table, option, options
 
 if TYPE_CHECKING:
     from sppm_pipeline.services.pictures.charts import Series
@@ -69,9 +69,6 @@ class WriteChart(Stage):
                 raise ConfigError(f"`{name}` has {len(_each(getattr(self, name)))} values for {count} columns `y`")
         if not count or (count > 1 and (self.error or self.bound or self.line)):
             raise ConfigError("`error`, `bound` and `line` belong to a single column `y`", hint="draw it by itself")
-
-    def estimate(self, palette: Palette, table: Size) -> Size:
-        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the charts."""

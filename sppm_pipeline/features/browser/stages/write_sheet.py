@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, InputError, Palette, Size, Stage, Table, option, options
+from sppm_pipeline import ConfigError, Context, InputError, Stage, Table, option, options
 from sppm_pipeline.nouns.table import RunFile
 
 MAX_PICTURES = 400
@@ -38,9 +38,6 @@ class WriteSheet(Stage):
         300, help="wider pictures are scaled down to this width", unit="pixels", minimum=16, maximum=2048
     )
     title: str = options.title("", note="above the sheet")
-
-    def estimate(self, palette: Palette, table: Size) -> Size:
-        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Collect the pictures."""

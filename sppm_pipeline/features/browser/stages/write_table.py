@@ -7,7 +7,7 @@ import io
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline import Context, Palette, Size, Stage, Table, option, options
+from sppm_pipeline import Context, Stage, Table, option, options
 from sppm_pipeline.method.families.file_writer import extension_of
 from sppm_pipeline.nouns.table import check_columns
 
@@ -32,9 +32,6 @@ class WriteTable(Stage):
     def check_options(self) -> None:
         """Columns, and a heading for each."""
         check_columns(self.columns, self.headings)
-
-    def estimate(self, palette: Palette, table: Size) -> Size:
-        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Write the rows."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, DesignError, Palette, Size, Stage, option, options
+from sppm_pipeline import Context, DesignError, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.numerics.compression import efficiency, loading, mean_and_spread
 from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, percent
@@ -51,9 +51,6 @@ class WriteCurves(Stage):
 
         check_chart(self.path, title=self.title)
         check_plateau(self.plateau)
-
-    def estimate(self, palette: Palette, curves: tuple[Size, ...]) -> Size:
-        return Size()
 
     def run(self, context: Context, curves: tuple[CompressionCurve, ...]) -> None:
         """Average, draw, write."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import Context, Palette, Size, Stage, Voxels, options
+from sppm_pipeline import Context, Stage, Voxels, options
 from sppm_pipeline.method.families.file_writer import extension_of, require_format, write_pieces
 
 FORMATS = (".npy", ".tif", ".tiff", ".vti", ".nrrd")
@@ -28,9 +28,6 @@ class WriteVoxels(Stage):
 
     def check_options(self) -> None:
         require_format(self, self.path, FORMATS, {})
-
-    def estimate(self, palette: Palette, voxels: Size) -> Size:
-        return Size(voxels=voxels.voxels, resident=voxels.resident, outline=voxels.outline, layers=voxels.layers)
 
     @property
     def rated_as(self) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, DesignError, Length, Palette, ScalarField, Size, option, options
+from sppm_pipeline import Context, DesignError, Length, ScalarField, option, options
 from sppm_pipeline.features.flow.acoustics import AcousticReport
 from sppm_pipeline.features.flow.stages.homogenize_permeability import FlowHomogenizer
 
@@ -41,11 +41,6 @@ class HomogenizeAcoustics(FlowHomogenizer):
     depth: Length = option(Length(50.0), help="thickness of the layer on a rigid wall", unit="mm", above=0, maximum=1e5)
     axis: str = options.axis("z")
     temperature: float = option(20.0, help="of the air", unit="degrees Celsius", minimum=-50, maximum=200)
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        """Samples of faces, and the eight samples of a voxel that fractions take, thrice."""
-        size = self.solving(source, self.resolution)
-        return replace(size, samples=27 * size.samples, sums=27 * size.sums)
 
     def run(self, context: Context, source: ScalarField) -> AcousticReport:
         """Solve for flow, torsion and conduction."""

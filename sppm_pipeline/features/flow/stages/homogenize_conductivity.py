@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Homogenizer, Palette, ScalarField, Size, Voxels, option, options
+from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
 from sppm_pipeline.features.flow.conductivity import ConductivityReport
 from sppm_pipeline.nouns import VoxelCell
 from sppm_pipeline.numerics import grids_below, per_phase, refined
@@ -84,12 +84,6 @@ class HomogenizeConductivity(Homogenizer):
 
     def _bulk(self) -> tuple[float, ...]:
         return per_phase(self.bulk)
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        """Both grids; the finer needs most memory."""
-        found = [self.solving(source, n) for n in self._resolutions(is_image=bool(source.voxels))]
-        return replace(found[-1], samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
-                       voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def _resolutions(self, *, is_image: bool) -> list[int]:
         return grids_below(self.resolution, self.grids or (1 if is_image else 2))

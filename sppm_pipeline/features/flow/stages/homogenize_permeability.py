@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, DesignError, Homogenizer, Length, Palette, ScalarField, Size, Voxels, option, options
+from sppm_pipeline import Context, DesignError, Homogenizer, Length, ScalarField, Voxels, option, options
 from sppm_pipeline.features.flow.numerics.faces import Faces, Percolation
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.numerics import cell_centers, grids_below, refined
@@ -163,12 +163,6 @@ class HomogenizePermeability(FlowHomogenizer):
         minimum=1,
         maximum=3,
     )
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        """Samples of three families of faces and of eighths of voxels on all grids; the finest needs most memory."""
-        found = [self.solving(source, n) for n in grids_below(self.resolution, self.grids)]
-        return replace(found[-1], samples=11 * sum(s.samples for s in found), sums=11 * sum(s.sums for s in found),
-                       voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def run(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
         """Solve for three flows, on coarser grids first if an error bar is requested."""

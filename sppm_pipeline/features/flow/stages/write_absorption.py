@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, Palette, Size, Stage, options
+from sppm_pipeline import Context, Stage, options
 from sppm_pipeline.features.flow.acoustics import AcousticReport
 
 CURVE = np.geomspace(50.0, 6400.0, 281)
@@ -36,9 +36,6 @@ class WriteAbsorption(Stage):
         from sppm_pipeline.pictures import check_chart
 
         check_chart(self.path, title=self.title)
-
-    def estimate(self, palette: Palette, report: Size) -> Size:
-        return Size()
 
     def run(self, context: Context, report: AcousticReport) -> None:
         """Compute the curve, draw and write."""

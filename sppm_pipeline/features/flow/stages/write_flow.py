@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import Context, Palette, Size, Stage, options
+from sppm_pipeline import Context, Stage, options
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 
 
@@ -23,9 +23,6 @@ class WriteFlow(Stage):
     path: str = options.write_path("flow.png", suffixes=(".png",))
     axis: str = options.axis("x")
     image_size: tuple[int, int] = options.image_size((900, 760), minimum=300)
-
-    def estimate(self, palette: Palette, report: Size) -> Size:
-        return Size(pixels=float(self.image_size[0] * self.image_size[1]))
 
     def run(self, context: Context, report: PermeabilityReport) -> None:
         """Draw and write."""

@@ -19,7 +19,6 @@ from sppm_pipeline import (
     Part,
     Recipe,
     ScalarField,
-    Size,
     Stage,
     TileSet,
     Tiling,
@@ -95,9 +94,6 @@ class CheckLocalPorosity(Stage):
 
     resolution: int = options.resolution(48, note="a multiple of 8 is taken", minimum=8, maximum=256)
     path: str | None = options.write_path(None, note="none if omitted", suffixes=("/",))
-
-    def estimate(self, palette: Palette, field: Size, grading: Size, recipe: object = None) -> Size:
-        return field.grid(self.resolution)
 
     def run(self, context: Context, field: ScalarField, grading: Grading, recipe: Recipe | None = None) -> None:
         """Count layer by layer, smooth, compare."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Length, Palette, Size, SurfaceMesh, option
+from sppm_pipeline import ConfigError, Context, Length, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import DistanceLaw
 from sppm_pipeline.features.grading.maps import Grading
@@ -32,9 +32,6 @@ class GradeDistance(Grader):
     direction: tuple[float, float, float] | None = option(
         None, help="direction of the line, of any length", minimum=-1e6, maximum=1e6
     )
-
-    def estimate(self, palette: Palette, grading: Size | None, part: Size | None) -> Size:
-        return Size(triangles=part.triangles if part is not None and self.to == "surface" else 0.0)
 
     def check_options(self) -> None:
         super().check_options()

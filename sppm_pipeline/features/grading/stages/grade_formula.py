@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, Palette, Size, SurfaceMesh, option
+from sppm_pipeline import ConfigError, Context, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import DistanceLaw, FormulaLaw
 from sppm_pipeline.features.grading.maps import (
@@ -41,9 +41,6 @@ class GradeFormula(Grader):
     constants: tuple[tuple[str, float], ...] = option(
         (), help="names with values that the formula may use, as [[a, 0.5], [b, 3]]", minimum=-1e15, maximum=1e15
     )
-
-    def estimate(self, palette: Palette, grading: Size | None, part: Size | None) -> Size:
-        return Size()
 
     def check_options(self) -> None:
         super().check_options()

@@ -79,7 +79,7 @@ class GradeStiffness(Grader):
         if recipe is None:
             return Size()
         cells = TRIED * self.trials
-        size: Size = self._homogenizer().solving(recipe(Palette(), cells), self.resolution, cells)
+        size: Size = self._homogenizer().solving(recipe(Palette(), cells), cells)
         return size
 
     def check_options(self) -> None:

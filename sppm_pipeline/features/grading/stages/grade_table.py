@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, Palette, Size, SurfaceMesh, option, options
+from sppm_pipeline import ConfigError, Context, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import TableLaw
 from sppm_pipeline.features.grading.maps import COORDINATES, Grading
@@ -39,9 +39,6 @@ class GradeTable(Grader):
     values: tuple[tuple[float, float], ...] = option(
         help="[place, value] pairs in ascending order of the places", minimum=-1e15, maximum=1e15
     )
-
-    def estimate(self, palette: Palette, grading: Size | None, part: Size | None) -> Size:
-        return Size()
 
     def check_options(self) -> None:
         super().check_options()

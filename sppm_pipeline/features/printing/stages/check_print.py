@@ -16,9 +16,7 @@ from sppm_pipeline import (
     Context,
     Headline,
     Length,
-    Palette,
     Rejected,
-    Size,
     SliceStack,
     Stage,
     option,
@@ -150,9 +148,6 @@ class CheckPrint(Stage):
         else:
             p, c = (length.mm() if length else None for length in (self.penetration, self.cure_depth))
         return None if p is None or c is None else (p, c)
-
-    def estimate(self, palette: Palette, stack: Size) -> Size:
-        return replace(stack, triangles=0.0)
 
     def run(self, context: Context, stack: SliceStack) -> SliceStack:
         """Read all layers once, write the report, and refuse what breaks a rule."""

@@ -45,7 +45,7 @@ class HomogenizeRealizations(ElasticHomogenizer):
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         made = recipe(palette, self.draws * len(self.assemblies))
         boxes = [made if not made.cells else made.in_box((size,) * 3) for size in self.assemblies]
-        found = [self.solving(box, self.resolution, self.draws * self.effort) for box in boxes]
+        found = [self.solving(box, self.draws) for box in boxes]
         return Size(
             samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
             voxels=sum(s.voxels for s in found), resident=max(s.resident for s in found),

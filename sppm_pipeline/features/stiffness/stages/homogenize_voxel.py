@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Homogenizer, Palette, ScalarField, Size, Voxels, option, options
+from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
 from sppm_pipeline.features.stiffness.numerics.refinement import (
     Limit,
     limit_of_grids,
@@ -345,9 +345,6 @@ class HomogenizeVoxel(ElasticHomogenizer):
         """Of the void and of each phase; the void, if it has a stiffness of its own accord, expands as phase 1 does."""
         given = per_phase(self.expansion)
         return (given[0] if self.filling_expansion is None else self.filling_expansion, *given) if given else ()
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        return self.solving(source, self.resolution, 1.0 if source.voxels else self.effort)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize."""

@@ -12,9 +12,7 @@ from sppm_pipeline import (
     Context,
     DesignError,
     Headline,
-    Palette,
     ScalarField,
-    Size,
     Table,
     Voxels,
     option,
@@ -68,9 +66,6 @@ class MeasureOnset(ElasticCell):
     def bytes_of_a_voxel(self, threads: int) -> int:
         """As for stiffness; all six fields are kept, and then superposed."""
         return super().bytes_of_a_voxel(threads) + 6
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        return self.solving(source, self.resolution)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> Table:
         """Solve, superpose, and sort the stresses."""

@@ -46,10 +46,9 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
         self.check_range()
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
-        """The first trials, and the two that usually follow; the porosity that is found is not known beforehand."""
-        trials = self.first + 2
+        trials = self.first + 2  # two usually follow the first
         made = recipe(palette, trials)
-        return replace(self.solving(made, self.resolution, trials * self.effort), result=made)
+        return replace(self.solving(made, trials), result=made)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Sample, propose, correct."""

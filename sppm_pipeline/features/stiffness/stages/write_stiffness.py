@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Palette, Size, Stage, option, options
+from sppm_pipeline import ConfigError, Context, Stage, option, options
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 
 
@@ -35,9 +35,6 @@ class WriteStiffness(Stage):
     def check_options(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
             raise ConfigError(f"`material` is {self.material!r}; allowed are letters, digits, _ and -, a letter first")
-
-    def estimate(self, palette: Palette, report: Size) -> Size:
-        return Size(pixels=float(self.image_size[0] * self.image_size[1]))
 
     def run(self, context: Context, report: StiffnessReport) -> None:
         """Write everything."""

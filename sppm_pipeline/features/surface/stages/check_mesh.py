@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, InputError, Length, Palette, Rejected, Size, Stage, SurfaceMesh, option
+from sppm_pipeline import ConfigError, Context, InputError, Length, Rejected, Stage, SurfaceMesh, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.meshcheck.report import MeshReport
@@ -56,9 +56,6 @@ class CheckMesh(Stage):
     def check_options(self) -> None:
         if "thin_walls" in self.reject and self.thin is None:
             raise ConfigError("`reject: [thin_walls]` needs `thin`, the thickness that a wall must have")
-
-    def estimate(self, palette: Palette, mesh: Size) -> Size:
-        return Size(triangles=mesh.triangles, geometry=mesh.geometry)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""

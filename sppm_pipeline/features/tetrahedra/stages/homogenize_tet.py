@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, DesignError, InputError, Palette, Size, Stage, option, options
+from sppm_pipeline import ConfigError, Context, DesignError, InputError, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.method.families.homogenizer import LOCKING
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
@@ -57,9 +57,6 @@ class HomogenizeTet(Stage):
     )
     residual: float = options.residual(1e-6, above=0, minimum=None, maximum=0.01, formerly="tolerance")
     iterations: int = options.iterations(2000)
-
-    def estimate(self, palette: Palette, mesh: Size) -> Size:
-        return Size(nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, DesignError, Palette, Size, Stage, option, options
+from sppm_pipeline import ConfigError, Context, DesignError, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.method.families.file_writer import extension_of, require_format, write_pieces
 
@@ -64,9 +64,6 @@ class WriteVolumeMesh(Stage):
             raise ConfigError("a job needs tied faces, as it loads the cell through them", hint="add `tie_faces: true`")
         if not self.job and (self.young, self.poisson) != (1.0, 0.3):
             raise ConfigError("`young` and `poisson` are the materials of a job", hint="add `job: true`")
-
-    def estimate(self, palette: Palette, mesh: Size) -> Size:
-        return Size(tetrahedra=mesh.tetrahedra, nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
 
     @property
     def rated_as(self) -> str:
