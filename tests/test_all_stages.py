@@ -12,6 +12,7 @@ from tests.built_in import BUILT_IN, stage_class
 REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.voxels": {"path": "a.npy"},
+    "read.scan": {"path": "a.npy"},
     "read.volume_mesh": {"path": "a.vtu"},
     "read.compression": {"path": "a.csv"},
     "read.primitive": {"shape": "box", "size": ()},

@@ -57,6 +57,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.mesh": ([], "path: part.stl", []),
     "read.primitive": ([], "shape: torus, size: [3, 3, 3]", []),
     "read.voxels": ([], "path: image.npy", []),
+    "read.scan": ([], "path: image.npy", []),
+    "field.voxels": (IMAGE, "", []),
     "read.volume_mesh": ([], "path: part.vtu", []),
     "grade.formula": ([], "of: porosity, formula: 0.5 + 0*x", []),
     "grade.table": ([], "of: porosity, values: [[0, 0.5], [1, 0.6]]", []),

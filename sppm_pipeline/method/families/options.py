@@ -80,6 +80,8 @@ stress_unit = _shared("unit of Young's modulus and of the result", choices=("rel
 plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
 energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=1)
 
+threshold = _shared("gray value from which on a voxel is solid", minimum=-1e15, maximum=1e15)
+
 axis = _shared("axis of the load, flow, sound or section", choices=("x", "y", "z"))
 
 # parts and meshes

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Length, Stage, Voxels, option, options
-
-MAX_LABELS = 64
-"""Different values of an image that may be labels of phases; images with more are gray."""
+from sppm_pipeline.services.segmentation import labels_of, otsu
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +33,7 @@ class ReadVoxels(Stage):
         "fractions are solid fractions, 0 to 1 or over the full range of an integer type",
         choices=("auto", "phases", "fractions", "threshold", "otsu"),
     )
-    threshold: float | None = option(
-        None, help="gray value from which on a voxel is solid", minimum=-1e15, maximum=1e15
-    )
+    threshold: float | None = options.threshold(None)
     invert: bool = option(False, help="solid is where the values are low")
     axes: str = option("xyz", help="what the axes of a .npy array are, in order", choices=("xyz", "zyx"))
     voxel: Length | None = options.voxel(
@@ -127,34 +123,3 @@ class ReadVoxels(Stage):
                 f"{self.path.name} has values from {values.min():g} to {values.max():g}; solid fractions lie in 0 to 1"
             )
         return np.float32(1) - shares if self.invert else shares
-
-
-def labels_of(values: NDArray[Any]) -> NDArray[Any] | None:
-    """The different values of an image, ascending; None if there are too many for labels."""
-    found: NDArray[Any] = np.zeros(0, values.dtype)
-    for k in range(values.shape[2]):  # layer by layer, so that nothing of the image's size is sorted
-        found = np.union1d(found, values[:, :, k])
-        if len(found) > MAX_LABELS:
-            return None
-    return found
-
-
-def otsu(values: NDArray[Any], bins: int = 1024) -> float:
-    """The threshold that makes the two classes of gray values as different as possible; itself in the upper one.
-
-    `bins` are those of the histogram. ValueError if all values, which are finite, are equal. Otsu 1979, "A threshold
-    selection method from gray-level histograms".
-    """
-    low, high = float(values.min()), float(values.max())
-    if not high > low:
-        raise ValueError("an image of one value has no two classes")
-    counts, edges = np.histogram(values, bins, (low, high))
-    middle = (edges[:-1] + edges[1:]) / 2
-    below = np.cumsum(counts)[:-1].astype(np.float64)
-    above = counts.sum() - below
-    mass = np.cumsum(counts * middle)
-    mean_below, mean_above = mass[:-1] / below, (mass[-1] - mass[:-1]) / np.maximum(above, 1)
-    between = below * above * (mean_below - mean_above) ** 2
-    # where bins between the classes are empty, every threshold among them is as good: the middle one is taken
-    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))
-    return float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.files.stages.read_voxels import MAX_LABELS, labels_of, otsu
+from sppm_pipeline.services.segmentation import MAX_LABELS, labels_of, otsu
 
 
 def test_labels_of_a_few_values_and_of_many():
