@@ -8,7 +8,7 @@ import pytest
 
 from sppm_pipeline.engine.cli import run as cli_run
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.run.audit import AuditBreach, audited, breach_error
+from sppm_pipeline.engine.run.events import AuditBreach, audited, breach_error
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.hookspecs import Comparison
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml, yaml_text
+from sppm_pipeline.engine.config.document import Override, parse_yaml, plain, read_yaml, yaml_text
 from sppm_pipeline.engine.config.names import output_parts
 from sppm_pipeline.errors import ConfigError
 
@@ -55,13 +55,13 @@ def refused(text: str) -> tuple[str, int, int]:
     ],
 )
 def test_scalars_follow_yaml_1_2(text, value):
-    got = plain(parse_value(text, Override("-p x")))
+    got = plain(parse_yaml(text, Override("-p x")))
     assert got == value
     assert type(got) is type(value)
 
 
 def test_not_a_number_is_a_float():
-    assert math.isnan(plain(parse_value(".nan", Override("-p x"))))
+    assert math.isnan(plain(parse_yaml(".nan", Override("-p x"))))
 
 
 def test_every_key_and_value_knows_its_place():
@@ -75,7 +75,7 @@ def test_every_key_and_value_knows_its_place():
 
 
 def test_values_of_the_command_line_lie_there():
-    node = parse_value("[1, 2]", Override("-p x=[1, 2]"))
+    node = parse_yaml("[1, 2]", Override("-p x=[1, 2]"))
     assert str(node.value[1].where) == "-p x=[1, 2]"
 
 

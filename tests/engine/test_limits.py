@@ -8,8 +8,17 @@ import time
 
 import pytest
 
-from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml
-from sppm_pipeline.engine.config.limits import MAX_BYTES, MAX_KEY, MAX_LINE, MAX_NODES, MAX_SCALAR
+from sppm_pipeline.engine.config.document import (
+    MAX_BYTES,
+    MAX_KEY,
+    MAX_LINE,
+    MAX_NODES,
+    MAX_SCALAR,
+    Override,
+    parse_yaml,
+    plain,
+    read_yaml,
+)
 from sppm_pipeline.errors import ConfigError
 
 BIG = 1 << 17
@@ -135,7 +144,7 @@ def test_the_time_grows_with_the_size_only(line):
 def test_values_of_the_command_line_have_the_same_limits():
     for text in ("[" * 50, "x" * 5000, "!" + "x" * BIG, "[" + "1," * 30_000 + "]", "&a [*a]", "!!str x", '"\\0"'):
         with pytest.raises(ConfigError) as caught:
-            parse_value(text, Override("-p x"))
+            parse_yaml(text, Override("-p x"))
         assert str(caught.value.where) == "-p x"
 
 

@@ -119,8 +119,8 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.engine.config.problems import raise_problems
     from sppm_pipeline.engine.plan.checking import checked
     from sppm_pipeline.engine.plan.estimate import unfit_problems
-    from sppm_pipeline.engine.run.audit import breach_error
     from sppm_pipeline.engine.run.crew import min_samples
+    from sppm_pipeline.engine.run.events import breach_error
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 

@@ -13,18 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-from sppm_pipeline.engine.config.limits import (
-    MAX_DEPTH,
-    MAX_DIGITS,
-    MAX_KEY,
-    MAX_NODES,
-    MAX_RECORD,
-    MAX_SCALAR,
-    decoded,
-    parsable,
-    refuse_unparsed,
-    unprintable,
-)
 from sppm_pipeline.errors import ConfigError, Position, ResourceError
 from sppm_pipeline.nouns.length import Length
 
@@ -102,16 +90,11 @@ def yaml_text(path: Path) -> str:
     return parsable(text) if is_record else text
 
 
-def parse_yaml(text: str, file: str) -> Node:
-    """The tree of the only document in `text`; `file` is the name that positions show."""
-    refuse_unparsed(text, file)
-    return _Composer(text, file, None).document()
-
-
-def parse_value(text: str, where: Position) -> Node:
-    """A value given on the command line, read as YAML; all of it lies at `where`."""
-    refuse_unparsed(text, where.file, where)
-    return _Composer(text, where.file, where).document()
+def parse_yaml(text: str, where: str | Position) -> Node:
+    """The tree of the only document in `text`, which lies in the file `where`, or all of it at a place."""
+    file, fixed = (where, None) if isinstance(where, str) else (where.file, where)
+    refuse_unparsed(text, file, fixed)
+    return _Composer(text, file, fixed).document()
 
 
 def as_node(value: Any, where: Position) -> Node:
@@ -156,13 +139,17 @@ def _composed(value: Any, name: str, path: str, depth: int) -> Node:
     elif hasattr(value, "tolist"):  # numpy's scalars and arrays
         return _composed(value.tolist(), name, path, depth)
     if isinstance(value, str):
-        if len(value) > MAX_SCALAR:
-            raise ConfigError(f"the string {value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where)
-        if (bad := unprintable(value)) is not None:
-            raise ConfigError(f"the character {bad} is not allowed in a string", where=where)
+        _check_string(value, where)
     elif value is not None and not isinstance(value, (bool, int, float)):
         raise ConfigError(f"a configuration can't hold {type(value).__name__}: {value!r:.60}", where=where)
     return Node(value, where)
+
+
+def _check_string(text: str, where: Position) -> None:
+    if len(text) > MAX_SCALAR:
+        raise ConfigError(f"the string {text[:20]!r}... is longer than {MAX_SCALAR} characters", where=where)
+    if (bad := unprintable(text)) is not None:
+        raise ConfigError(f"the character {bad} is not allowed in a string", where=where)
 
 
 def plain(node: Node, *, keep_params: bool = False) -> Any:
@@ -252,11 +239,9 @@ class _Composer:
             hint = _hint(text, str(error.problem), mark.line if mark else 0)
             raise ConfigError(f"not valid YAML: {error.problem}{context}", where=where, hint=hint) from None
         except ReaderError as error:
-            line = text.count("\n", 0, error.position) + 1
-            column = error.position - text.rfind("\n", 0, error.position)
             raise ConfigError(
                 f"the control character {chr(error.character)!r} is not allowed in YAML",
-                where=self._fixed or Position(self._file, line, column),
+                where=self._fixed or _place(text, error.position, self._file),
             ) from None
         except YAMLError as error:
             first = str(error).splitlines()[0]
@@ -288,12 +273,7 @@ class _Composer:
         if known is not None:
             return known[0]
         if kind == "ScalarEvent":
-            if len(event.value) > MAX_SCALAR:
-                raise ConfigError(
-                    f"the string {event.value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where
-                )
-            if (bad := unprintable(event.value)) is not None:
-                raise ConfigError(f"the character {bad} is not allowed in a string", where=where)
+            _check_string(event.value, where)
             node = Node(self._scalar(event.value, where) if event.implicit[0] else event.value, where)
         elif kind == "SequenceStartEvent":
             items = []
@@ -362,3 +342,109 @@ def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return "a map"
     return "a list" if isinstance(value, list) else repr(value)
+
+
+MAX_BYTES = 1 << 18
+"""Bytes of a configuration file."""
+
+MAX_RECORD = 1 << 20
+"""Bytes of a run record that its configuration has to lie in; there all defaults are written out."""
+
+MAX_LINE = 1 << 16
+"""Characters of a line."""
+
+MAX_SCALAR = 4096
+"""Characters of one value, or of anything else that is written without blanks, such as a tag or an anchor."""
+
+MAX_KEY = 200
+"""Characters of a key."""
+
+MAX_DIGITS = 1000
+"""Characters of a number."""
+
+MAX_DEPTH = 32
+"""Levels of lists and maps."""
+
+MAX_NODES = 20_000
+"""Values, counted with every alias and every parameter expanded."""
+
+# each looks only from where a line or a word begins: from every character on, it would take quadratic time
+_LONG_LINE = re.compile(rf"(?<![^\r\n\x85\u2028\u2029])[^\r\n\x85\u2028\u2029]{{{MAX_LINE + 1}}}")
+_LONG_WORD = re.compile(rf"(?<![^\s,\[\]{{}}])[^\s,\[\]{{}}]{{{MAX_SCALAR + 1}}}")
+_DEEP = re.compile(rf"(?:[\[{{][ \t]*+){{{2 * MAX_DEPTH + 1}}}")
+"""Brackets on brackets: the parser buffers a thousand of them, in quadratic time."""
+
+_ENCODINGS = {
+    b"\xff\xfe\x00\x00": "UTF-32",
+    b"\x00\x00\xfe\xff": "UTF-32",
+    b"\xff\xfe": "UTF-16",
+    b"\xfe\xff": "UTF-16",
+    b"\x1f\x8b": "compressed by gzip",
+    b"PK\x03\x04": "a ZIP archive",
+}
+_UNPRINTABLE = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufeff\ufffe\uffff"
+    r"\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"  # marks that turn the order of letters round on a screen
+)
+
+
+def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
+    """The text of a configuration file; `ConfigError` with line and column if it is too large or no UTF-8."""
+    top = Position(file, 1, 1)
+    if len(data) > MAX_BYTES and not is_record:
+        raise ConfigError(f"the file is larger than {MAX_BYTES >> 10} KiB, which no configuration needs", where=top)
+    for mark, name in _ENCODINGS.items():
+        if data.startswith(mark):
+            raise ConfigError(f"the file is {name}, not UTF-8", where=top, hint="save the file as UTF-8")
+    try:
+        return data[:MAX_RECORD].decode("utf-8-sig", "ignore" if is_record else "strict")
+    except UnicodeDecodeError as error:
+        # columns count characters, and bytes before the first bad one are sound
+        before = data[: error.start].decode("utf-8-sig", "replace")
+        raise ConfigError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8",
+            where=_place(before, len(before), file),
+            hint="save the file as UTF-8",
+        ) from None
+
+
+def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None:
+    """Refuse, at line and column, what need not be parsed to be refused; `fixed` is the place of all of a text of the
+    command line.
+    """
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        # a directive, which comes before all content
+        if words[:1] == ["%YAML"] and words[1:2] not in (["1.1"], ["1.2"]):
+            raise ConfigError(
+                f"the file says that it is YAML {' '.join(words[1:2])[:20]}, which can't be read",
+                where=fixed or Position(file, number, 1),
+                hint="remove the line, or write %YAML 1.2",
+            )
+        if words and not line.startswith(("%", "#")):
+            break
+    for pattern, words in (
+        (_LONG_LINE, f"the line is longer than {MAX_LINE} characters, which no configuration needs"),
+        (_LONG_WORD, f"more than {MAX_SCALAR} characters without a blank, starting {{word}}"),
+        (_DEEP, f"nested deeper than {MAX_DEPTH} levels"),
+    ):
+        if (found := pattern.search(text)) is not None:
+            message = words.replace("{word}", repr(found[0][:20]))
+            raise ConfigError(message, where=fixed or _place(text, found.start(), file))
+
+
+def parsable(text: str) -> str:
+    """The beginning of `text` that is not refused unparsed; of a record, what comes after is not read anyway."""
+    found = [match.start() for pattern in (_LONG_LINE, _LONG_WORD, _DEEP) if (match := pattern.search(text))]
+    return text[: min(found)] if found else text
+
+
+def unprintable(text: str) -> str | None:
+    """The first character of `text` that no name or label may hold, as an escape; None if there is none."""
+    found = _UNPRINTABLE.search(text)
+    return None if found is None else f"\\u{ord(found[0]):04x}"
+
+
+def _place(text: str, offset: int, file: str) -> Position:
+    """Line and column of a character."""
+    return Position(file, text.count("\n", 0, offset) + 1, offset - text.rfind("\n", 0, offset))

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Collection, Iterable
 from pathlib import PurePosixPath
 
-from sppm_pipeline.engine.config.limits import unprintable
+from sppm_pipeline.engine.config.document import unprintable
 from sppm_pipeline.engine.config.problems import Problems, shown
 from sppm_pipeline.errors import ConfigError, Position
 

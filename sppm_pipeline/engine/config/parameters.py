@@ -10,8 +10,16 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from sppm_pipeline.engine.config.configuration import MAX_SEED, RESERVED, Configuration, StageEntry
-from sppm_pipeline.engine.config.document import Entry, Node, Override, count_nodes, nodes_of, parse_value, plain
-from sppm_pipeline.engine.config.limits import MAX_NODES
+from sppm_pipeline.engine.config.document import (
+    MAX_NODES,
+    Entry,
+    Node,
+    Override,
+    count_nodes,
+    nodes_of,
+    parse_yaml,
+    plain,
+)
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, raise_problems, shown
 from sppm_pipeline.errors import ConfigError, Position
 
@@ -44,7 +52,7 @@ def override_params(params: Mapping[str, Entry], overrides: Iterable[str]) -> tu
             problems.append(_unknown(f"there is no parameter {shown(name)}", params, name, where))
         else:
             try:
-                result[name] = Entry(where, parse_value(text, where))
+                result[name] = Entry(where, parse_yaml(text, where))
             except ConfigError as error:
                 problems.append(error)
     return result, problems
@@ -138,7 +146,7 @@ def override_options(entries: Sequence[StageEntry], overrides: Iterable[str]) ->
             hint = did_you_mean(target, [entry.address for entry in result])
         else:
             try:
-                result[found[0]] = result[found[0]].with_option(option, Entry(where, parse_value(text, where)))
+                result[found[0]] = result[found[0]].with_option(option, Entry(where, parse_yaml(text, where)))
             except ConfigError as error:
                 problems.append(error)
             continue

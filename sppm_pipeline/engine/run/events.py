@@ -1,8 +1,9 @@
-"""Receivers of the events of a run: the monitor that shows it, and observers (`sppm_stage_finished`)."""
+"""What hears of a run: the monitor that shows it, observers (`sppm_stage_finished`), and the audit (`sppm_audit`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -11,8 +12,8 @@ import pluggy
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import PluginError, described
-from sppm_pipeline.hookspecs import StageEvent
+from sppm_pipeline.errors import DesignError, PluginError, described
+from sppm_pipeline.hookspecs import Comparison, StageEvent
 
 
 class Monitor:
@@ -43,6 +44,52 @@ class Monitor:
         """One run of a sweep ended, well or not."""
 
 
+class PluginHooks:
+    """Hooks of plugins by name: what one raises is put into words, and built-in code runs as it is."""
+
+    def __init__(self, plugins: Iterable[Plugin], own: Iterable[object] = ()) -> None:
+        self.manager = pluggy.PluginManager(hookspecs.PROJECT)
+        self.manager.add_hookspecs(hookspecs)
+        self._plugins: dict[str, Plugin] = {}
+        for observer in own:
+            self.manager.register(observer)
+        for plugin in plugins:
+            if plugin.module is not None and plugin.error is None and not self.manager.is_registered(plugin.module):
+                self._plugins[plugin.name] = plugin
+                self.manager.register(plugin.module, plugin.name)
+
+    def call(
+        self, hook: str, argument: Any, take: Callable[[Any], Any] = lambda made: made
+    ) -> Iterator[tuple[Plugin | None, Any, str]]:
+        """Plugin, result (through `take`) and what is wrong of each implementation; only a plugin's may raise."""
+        for implementation in getattr(self.manager.hook, hook).get_hookimpls():
+            plugin = self._plugins.get(implementation.plugin_name)
+            # as pluggy calls hooks: an implementation may leave the argument out
+            arguments = (argument,) * len(implementation.argnames)
+            if plugin is None:
+                yield None, implementation.function(*arguments), ""
+                continue
+            try:
+                with nullcontext() if plugin.builtin else contained(PluginError):
+                    found = take(implementation.function(*arguments))
+            except Exception as error:
+                yield plugin, None, error.message if isinstance(error, PluginError) else f"raised {described(error)}"
+            else:
+                yield plugin, found, ""
+
+
+def list_of(kind: type) -> Callable[[Iterable[Any]], list[Any]]:
+    """What takes the result of a hook that returns a sequence of a type; `TypeError` if it holds another."""
+
+    def take(made: Iterable[Any]) -> list[Any]:
+        found = [*made]
+        if not all(isinstance(one, kind) for one in found):
+            raise TypeError(f"it must return instances of {kind.__name__}")
+        return found
+
+    return take
+
+
 class Observers:
     """The implementations of `sppm_stage_finished` that hear of one run.
 
@@ -51,30 +98,62 @@ class Observers:
     """
 
     def __init__(self, own: Iterable[object], plugins: Iterable[Plugin], warn: Callable[[str], None]) -> None:
-        self._manager = pluggy.PluginManager(hookspecs.PROJECT)
-        self._manager.add_hookspecs(hookspecs)
-        self._plugins: dict[str, Plugin] = {}
+        self._hooks = PluginHooks(plugins, own)
         self._warn = warn
-        for observer in own:
-            self._manager.register(observer)
-        for plugin in plugins:
-            if plugin.module is not None and not self._manager.is_registered(plugin.module):
-                self._plugins[plugin.name] = plugin
-                self._manager.register(plugin.module, plugin.name)
 
     def stage_finished(self, event: StageEvent) -> None:
         """Call all of them; a plugin that raised once is not called again in this run."""
-        for implementation in self._manager.hook.sppm_stage_finished.get_hookimpls():
-            plugin = self._plugins.get(implementation.plugin_name)
-            arguments = (event,) * len(implementation.argnames)
-            if plugin is None:
-                implementation.function(*arguments)
-                continue
-            try:
-                with nullcontext() if plugin.builtin else contained(PluginError):
-                    implementation.function(*arguments)
-            except Exception as error:
-                words = error.message if isinstance(error, PluginError) else f"raised {described(error)}"
+        for plugin, _, wrong in self._hooks.call("sppm_stage_finished", event):
+            if plugin is not None and wrong:
                 # once is enough: a broken observer would warn after each of a thousand stages
-                self._manager.unregister(name=plugin.name)
-                self._warn(f"{plugin}: sppm_stage_finished {words}; it is not called again in this run")
+                self._hooks.manager.unregister(name=plugin.name)
+                self._warn(f"{plugin}: sppm_stage_finished {wrong}; it is not called again in this run")
+
+
+class AuditBreach(DesignError):
+    """The results of a run contradict each other or what was asked for."""
+
+
+def audited(record: Mapping[str, Any], plugins: Sequence[Plugin], warn: Callable[[str], None]) -> dict[str, Any]:
+    """The entry `audit` of a record that has the entries of all stages; what a plugin raises becomes a warning.
+
+    ``verdict`` is "passed", "breach" or "nothing to compare".
+    """
+    found: list[Comparison] = []
+    for plugin, own, wrong in reversed([*PluginHooks(plugins).call("sppm_audit", record, list_of(Comparison))]):
+        if wrong:
+            warn(f"{plugin}: sppm_audit {wrong}")
+        else:
+            found += own
+    breached = any(not one.holds for one in found)
+    return {
+        "verdict": "breach" if breached else "passed" if found else "nothing to compare",
+        "comparisons": [_entry(one) for one in found],
+    }
+
+
+def _entry(one: Comparison) -> dict[str, Any]:
+    numbers = {
+        name: value if math.isfinite(value) else None for name, value in one._asdict().items() if name in _NUMBERS
+    }
+    return {"quantity": one.quantity, **numbers, "unit": one.unit, "holds": one.holds, "text": str(one)}
+
+
+_NUMBERS = ("found", "expected", "tolerance")
+
+
+def breaches(audit: Mapping[str, Any] | None) -> list[str]:
+    """Comparisons of an audit that do not hold, in words."""
+    return [one["text"] for one in (audit or {}).get("comparisons", ()) if not one["holds"]]
+
+
+def breach_error(record: Mapping[str, Any]) -> AuditBreach | None:
+    """The error for a run, or a sweep, whose record has breaches; None if it has none."""
+    texts = breaches(record.get("audit"))
+    texts += [f"run {run['run']}: {text}" for run in record.get("runs", ()) for text in run.get("breaches", ())]
+    if not texts:
+        return None
+    return AuditBreach(
+        f"audit: {'; '.join(texts)}",
+        hint="the files are there, and may not be what you asked for; `audit: warn` in the configuration accepts them",
+    )

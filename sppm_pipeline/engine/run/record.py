@@ -21,8 +21,7 @@ from sppm_pipeline.engine.plan.planning import Plan, step_options
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.process.interruption import register, requested, unregister
 from sppm_pipeline.engine.process.resident import highest
-from sppm_pipeline.engine.run.audit import audited, breaches
-from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.events import Monitor, audited, breaches
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import ResourceError, SppmError

@@ -17,7 +17,7 @@ from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_ses
 from sppm_pipeline.engine.process.activity import Activity, current, of_run, overdue, share
 from sppm_pipeline.engine.process.containment import stage_seconds
 from sppm_pipeline.engine.process.guard import guard
-from sppm_pipeline.engine.run.audit import breaches
+from sppm_pipeline.engine.run.events import breaches
 from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.record import error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import run_plan

@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 import pytest
 
 from sppm_pipeline.engine.api.pipeline import Pipeline
-from sppm_pipeline.engine.config.limits import MAX_DEPTH
+from sppm_pipeline.engine.config.document import MAX_DEPTH
 from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.engine.process import interruption

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from typing import Any
 
-import pluggy
-
-from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import PluginError, SppmError, described
+from sppm_pipeline.engine.run.events import PluginHooks, list_of
+from sppm_pipeline.errors import SppmError
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.nouns.report import ReportSection
 
@@ -45,23 +41,8 @@ def _announced(name: str, registry: Registry) -> Iterator[type[Artifact]]:
 
 def sections_of(record: Mapping[str, Any], plugins: Plugins) -> list[ReportSection]:
     """The sections of all plugins; what one raises stands in the place of its own."""
-    manager = pluggy.PluginManager(hookspecs.PROJECT)
-    manager.add_hookspecs(hookspecs)
-    owners = {plugin.name: plugin for plugin in plugins.plugins if plugin.module is not None and plugin.error is None}
-    for name, plugin in owners.items():
-        if not manager.is_registered(plugin.module):
-            manager.register(plugin.module, name)
     found: list[ReportSection] = []
-    for implementation in manager.hook.sppm_report_sections.get_hookimpls():
-        plugin = owners[implementation.plugin_name]
-        try:
-            with nullcontext() if plugin.builtin else contained(PluginError):
-                arguments = (record,) * len(implementation.argnames)
-                own: list[ReportSection] = [*implementation.function(*arguments)]  # type: ignore[misc]
-                if not all(isinstance(section, ReportSection) for section in own):
-                    raise TypeError("it must return instances of ReportSection")
-        except Exception as error:
-            words = error.message if isinstance(error, PluginError) else f"raised {described(error)}"
-            own = [ReportSection(str(plugin), f"sppm_report_sections {words}")]
-        found += own
+    hooks = PluginHooks(plugins.plugins)
+    for plugin, own, wrong in hooks.call("sppm_report_sections", record, list_of(ReportSection)):
+        found += [ReportSection(str(plugin), f"sppm_report_sections {wrong}")] if wrong else own
     return found

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sppm_pipeline.engine.config.document import parse_value
+from sppm_pipeline.engine.config.document import parse_yaml
 from sppm_pipeline.errors import ConfigError, Position
 
 _ANCHOR = re.compile(r"&\S+\s*")
@@ -116,7 +116,7 @@ def _word(value: Any, quoted: bool = False) -> str:
     if isinstance(value, str) and not quoted:
         # without quotes only if the engine reads the same string from it
         plain = value.isascii() and value.replace("_", "").replace(" ", "").replace(".", "").isalnum()
-        if plain and value == value.strip() and parse_value(value, Position("", 0, 0)).value == value:
+        if plain and value == value.strip() and parse_yaml(value, Position("", 0, 0)).value == value:
             return value
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
