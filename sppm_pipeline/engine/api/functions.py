@@ -22,10 +22,10 @@ from typing import Any
 
 from sppm_pipeline.engine.api.bound_stage import BoundStage
 from sppm_pipeline.engine.api.registering import registry
-from sppm_pipeline.engine.config.options import allowed_words, options_of
-from sppm_pipeline.engine.plan.describe import default_words, makes_words
+from sppm_pipeline.engine.config.options import options_of
+from sppm_pipeline.engine.plan.describe import makes_words, option_words
 from sppm_pipeline.engine.plan.ports import port_words, signature_of
-from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import FAMILIES, Stage
 
 OF_STEPS = ("id", "sources")
@@ -110,8 +110,7 @@ def _documentation(cls: type[Stage]) -> str:
         words = "sequence of steps, or name of a preset" if port.is_recipe else port_words(port)
         lines.append(f"{'recipe' if port.is_recipe else port.name} : {words}{', optional' if port.optional else ''}")
     for option in options_of(cls).values():
-        default = "required" if option.required else f"default {default_words(option)}"
-        lines += [f"{option.name} : {allowed_words(option)}; {default}", *textwrap.wrap(
+        lines += [f"{option.name} : {option_words(option)}", *textwrap.wrap(
             option.spec.help, 100, initial_indent="    ", subsequent_indent="    "
         )]  # fmt: skip
     makes = makes_words(cls)
@@ -147,26 +146,14 @@ class Family(types.ModuleType):
                 raise AttributeError(str(error)) from None
 
         def names() -> list[str]:
-            return [word for stage in _sound(name) if (word := stage.partition(".")[2]).isidentifier()]
+            stages = registry().sound(name)
+            return [word for stage in stages if (word := stage.partition(".")[2]).isidentifier()]
 
         # of the module and not of the class, which completion trusts
         self.__dict__.update(__getattr__=load, __dir__=names)
 
     def __repr__(self) -> str:
         return f"<stages {self.__name__.partition('.')[2]}: {', '.join(dir(self))}>"
-
-
-def _sound(family: str) -> list[str]:
-    """Stages of a family that can be loaded."""
-    known, found = registry(), []
-    for name in known:
-        if name.startswith(f"{family}."):
-            try:
-                known.get(name)
-            except PluginError:
-                continue
-            found.append(name)
-    return found
 
 
 class CheckFamily(Family):

@@ -12,11 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.config.options import Option, allowed_words, options_of
-from sppm_pipeline.engine.plan.describe import default_words
+from sppm_pipeline.engine.config.options import Option, options_of
+from sppm_pipeline.engine.plan.describe import option_words
 from sppm_pipeline.engine.plan.ports import Port, signature_of
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.errors import PluginError
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import FAMILIES, Stage
 
@@ -77,16 +76,10 @@ def stub_text(registry: Registry) -> str:
     """The stub of the module that holds the families; stages that can't be loaded are left out."""
     imported: dict[str, set[str]] = {}
     families: dict[str, list[str]] = {}
-    for name in registry:
+    for name in registry.sound():
         family, _, word = name.partition(".")
-        if not word.isidentifier() or keyword.iskeyword(word) or not family.isidentifier():
-            continue
-        try:
-            cls = registry.get(name)
-            signature_of(cls)
-        except PluginError:
-            continue
-        families.setdefault(family, []).extend(_stage_lines(cls, word, imported))
+        if word.isidentifier() and not keyword.iskeyword(word) and family.isidentifier():
+            families.setdefault(family, []).extend(_stage_lines(registry.get(name), word, imported))
     lines = [HEAD.rstrip()]
     for module, names in sorted(imported.items()):
         lines.append(f"from {module} import {', '.join(sorted(names))}")
@@ -139,11 +132,9 @@ def _stage_lines(cls: type[Stage], word: str, imported: dict[str, set[str]]) -> 
 
 
 def _doc(cls: type[Stage]) -> str:
-    lines = [inspect.getdoc(cls) or "", ""]
-    for option in options_of(cls).values():
-        default = "required" if option.required else f"default {default_words(option)}"
-        lines.append(f"{option.name}: {allowed_words(option)}; {default}. {option.spec.help}\n")
-    return "\n".join(lines).strip()
+    options = options_of(cls).values()
+    lines = [f"{option.name}: {option_words(option)}. {option.spec.help}\n" for option in options]
+    return "\n".join([inspect.getdoc(cls) or "", "", *lines]).strip()
 
 
 def _literal(text: str) -> str:

@@ -102,17 +102,21 @@ def stage_text(cls: type[Stage], registry: Registry) -> str:
         "Options" if data["options"] else "No options",
     ]
     for option in options_of(cls).values():
-        default = "required" if option.required else f"default {default_words(option)}"
-        lines += [f"  {option.name}: {allowed_words(option)}; {default}", f"      {option.spec.help}"]
+        lines += [f"  {option.name}: {option_words(option)}", f"      {option.spec.help}"]
     return "\n".join(lines) + "\n"
 
 
-def default_words(option: Option) -> str:
-    """The default of an option as YAML has it."""
+def option_words(option: Option) -> str:
+    """What an option takes, and its default as YAML has it."""
+    if option.required:
+        return f"{allowed_words(option)}; required"
     value = plain_option(option.default)
-    if value is None:
-        return "none"
-    return str(value).lower() if isinstance(value, bool) else repr(value) if value == "" else str(value)
+    return f"{allowed_words(option)}; default {repr(value) if value == '' else value_words(value)}"
+
+
+def value_words(value: Any) -> str:
+    """A value as YAML has it."""
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def stage_list(registry: Registry, names: Sequence[str]) -> str:
@@ -144,7 +148,7 @@ def preset_text(name: str, registry: Registry) -> str:
     """A preset with its parameters and stages, as a configuration would have them."""
     preset = registry.presets[name]
     lines = [name, "=" * len(name), "", preset.help, "", "Parameters" if preset.params else "No parameters"]
-    lines += [f"  {key}: default {'none' if value is None else value}" for key, value in preset.params.items()]
+    lines += [f"  {key}: default {value_words(value)}" for key, value in preset.params.items()]
     return "\n".join([*lines, "", "Stages", *(f"  - {_flow(entry)}" for entry in preset.stages), ""])
 
 
@@ -193,8 +197,7 @@ def _explained(step: Step, path: str) -> list[str]:
     lines.append(f"      makes {artifact_words(step.makes)}; random numbers from seed and {path!r}")
     for name, value in step_options(step).items():
         mark = "" if name in step.entry.options else " (default)"
-        shown = "none" if value is None else str(value).lower() if isinstance(value, bool) else value
-        lines.append(f"      {name} = {shown}{mark}")
+        lines.append(f"      {name} = {value_words(value)}{mark}")
     return lines
 
 

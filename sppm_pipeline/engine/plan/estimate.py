@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from sppm_pipeline.engine.plan.kernels import MIN_SECONDS_AHEAD, SWITCH, has_compiled, missing_of
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
-from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
+from sppm_pipeline.engine.process.budget import allowed_memory, format_bytes, free_disk
 from sppm_pipeline.errors import ConfigError, ResourceError, SppmError, described
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.report import Report
@@ -390,23 +390,22 @@ def unfit_problems(
     runs: int = 1,
     workers: int = 1,
     crew: int = 0,
-    memory: tuple[int | None, str] | None = None,
 ) -> list[ResourceError]:
     """A `ResourceError` if memory or disk will not suffice, with what to change.
 
     `runs` runs write into `folder`, which need not exist, `workers` at the same time; the estimates are of rows that
     stand for all. `crew` worker processes of this machine, beside a single run, take as much as a stage that hands them
-    work. `memory` is the limit in bytes, and what sets it; that of this machine if omitted.
+    work.
     """
-    limit, words = memory or allowed_memory()
+    limit, words = allowed_memory()
     workers = min(workers, runs)
     # the user's own limit is meant as it stands
-    slack = 1.0 if MEMORY in words or "--memory" in words else MAX_OVERESTIMATE
+    slack = 1.0 if "--memory" in words else MAX_OVERESTIMATE
     for stage in (stage for estimate in estimates for stage in estimate.stages):
         # only then do workers hold what the stage holds
         helpers = crew if stage.step.stage.maps else 0
         needed = stage.resident * (workers + helpers)
-        if limit is not None and stage.cost is not None and needed > slack * limit:
+        if stage.cost is not None and needed > slack * limit:
             message = (
                 f"about {format_bytes(needed)} of memory would be needed; {words} is {format_bytes(limit)}"
                 + (f" ({workers} runs at the same time)" if workers > 1 else "")

@@ -83,11 +83,12 @@ def make_plan(
     overrides: Overrides = Overrides(),  # noqa: B008 - frozen
     row: Mapping[str, Entry] | None = None,
     available: Mapping[str, tuple[type, ...]] | None = None,
+    unread: Sequence[ConfigError] = (),
 ) -> Plan:
-    """Read the stages, then wire them, and raise all errors in one go; see `draft_plan` and `wire_plan`."""
+    """Read the stages, wire them, and raise all errors in one go, `unread` ones too; see `draft_plan`, `wire_plan`."""
     drafts, unfit = draft_plan(configuration, registry, overrides, row)
     plan, loose = wire_plan(drafts, available)
-    raise_problems([*unfit, *loose])
+    raise_problems([*unread, *unfit, *loose])
     return plan
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import inspect
 from collections.abc import Iterator
@@ -45,16 +46,13 @@ class Registry:
             sorted(self._owners, key=lambda n: (order.index(f) if (f := n.split(".")[0]) in order else len(order), n))
         )
 
-    def sound(self) -> list[str]:
-        """Names of the stages that can be loaded; those of a broken plugin are left out."""
-        names = []
+    def sound(self, family: str = "") -> Iterator[str]:
+        """Names of the stages, or those of a family, that can be loaded; those of a broken plugin are left out."""
         for name in self:
-            try:
-                self.get(name)
-            except PluginError:
-                continue
-            names.append(name)
-        return names
+            if family in ("", name.partition(".")[0]):
+                with contextlib.suppress(PluginError):
+                    self.get(name)
+                    yield name
 
     def owner(self, name: str) -> Plugin:
         """The plugin that supplies the stage."""

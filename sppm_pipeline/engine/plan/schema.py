@@ -50,7 +50,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "folder": {"type": "string"},
         "notes": {"type": ["object", "null"]},
     }
-    names = registry.sound()
+    names = list(registry.sound())
     classes = [registry.get(name) for name in names]
     named: dict[str, Any] = {"type": "object", "required": ["stage"]}
     former = {name: alias for name, alias in sorted(registry.aliases.items()) if alias.name in names}

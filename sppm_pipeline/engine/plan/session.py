@@ -18,8 +18,8 @@ from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, read_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, raise_problems
-from sppm_pipeline.engine.plan.planning import Plan, draft_plan, wire_plan
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed
+from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError
@@ -100,10 +100,7 @@ class Session:
 
     def plan(self, row: Row | None = None) -> Plan:
         """Plan the run, or one row of its sweep; raises all that is wrong."""
-        drafts, unfit = draft_plan(self.configuration, self.registry, self.request.overrides, row)
-        plan, loose = wire_plan(drafts)
-        raise_problems([*self.unread, *unfit, *loose])
-        return plan
+        return make_plan(self.configuration, self.registry, self.request.overrides, row, unread=self.unread)
 
     @cached_property
     def rows(self) -> Sequence[Row]:

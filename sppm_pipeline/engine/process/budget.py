@@ -60,7 +60,7 @@ def requested_memory() -> int | None:
 
 def allowed_memory(limit: int | None = None) -> Allowance:
     """The memory that this process may hold; `limit` is the user's in bytes, that of ``--memory`` if omitted."""
-    resident, reserved = _held()
+    resident, reserved = held_memory()
     limit = requested_memory() if limit is None else limit
     # what this process holds now counts as allowed: only what is added can be refused
     found = [Allowance(resident + _machine(), "the free memory of this machine")]
@@ -75,7 +75,7 @@ def allowed_memory(limit: int | None = None) -> Allowance:
 
 def available_memory(limit: int | None = None) -> int:
     """Bytes that this process can take beside what it holds; `limit` as for `allowed_memory`."""
-    return max(0, allowed_memory(limit).bytes - _held()[0])
+    return max(0, allowed_memory(limit).bytes - held_memory()[0])
 
 
 def child_memory(limit: int | None = None) -> int:
@@ -110,7 +110,7 @@ def require_memory(needed: float, what: str, hint: str, *, limit: int | None) ->
         )
 
 
-def _held() -> tuple[int, int]:
+def held_memory() -> tuple[int, int]:
     """Bytes resident in this process, and its address space; zeros where the system does not say."""
     # as psutil reads it on Linux, whose import takes longer than all else here
     with contextlib.suppress(OSError, ValueError, IndexError):

@@ -5,12 +5,12 @@ And how to take less of it where there are threads.
 
 from __future__ import annotations
 
-import contextlib
-import os
 import sys
 import threading
 import time
 from types import TracebackType
+
+from sppm_pipeline.engine.process.budget import held_memory
 
 PERIOD = 0.05
 """Seconds between two looks, each of which takes 0.1 ms: 0.2 % of a processor; shorter peaks are missed. To have Linux
@@ -37,7 +37,7 @@ class PeakWatch:
 
     def __enter__(self) -> PeakWatch:
         self._highest = highest()
-        self.most = resident()
+        self.most = held_memory()[0]
         _watched.append(self)
         _look()
         return self
@@ -47,17 +47,8 @@ class PeakWatch:
     ) -> None:
         _watched.remove(self)
         after = highest()
-        most = after if after > self._highest else max(self.most, resident())
+        most = after if after > self._highest else max(self.most, held_memory()[0])
         self.mb = round(most / 1e6, 1)
-
-
-def resident() -> int:
-    """Bytes of this process that are in memory."""
-    with contextlib.suppress(OSError), open("/proc/self/statm", "rb") as file:  # as quick as it gets on Linux
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    import psutil
-
-    return int(psutil.Process().memory_info().rss)
 
 
 def highest() -> int:
@@ -85,7 +76,7 @@ def _look_on() -> None:
     while True:
         time.sleep(PERIOD)
         if _watched:
-            idle, now = 0.0, resident()
+            idle, now = 0.0, held_memory()[0]
             for one in tuple(_watched):
                 one.most = max(one.most, now)
             continue

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from sppm_pipeline.engine.process import resident
+from sppm_pipeline.engine.process.budget import held_memory
 from sppm_pipeline.engine.process.resident import PeakWatch
 
 
@@ -20,7 +21,7 @@ def held(megabytes):
 
 def taken(megabytes):
     """The peak while so much is held, above what was there before; held until the thread has looked, for a minute."""
-    before = resident.resident()
+    before = held_memory()[0]
     with PeakWatch() as watch, held(megabytes):
         until = time.monotonic() + 60
         while watch.most < before + 0.9e6 * megabytes and time.monotonic() < until:
@@ -32,7 +33,7 @@ def test_each_has_its_own_peak():
     first = taken(300)
     assert 280 < first < 340
     assert 80 < taken(100) < 140  # less than the highest so far: seen by looking
-    before = resident.resident() / 1e6
+    before = held_memory()[0] / 1e6
     with PeakWatch() as watch:
         time.sleep(3 * resident.PERIOD)
     assert watch.mb - before < 30
@@ -41,7 +42,7 @@ def test_each_has_its_own_peak():
 def test_a_new_peak_is_exact_however_short(monkeypatch):
     monkeypatch.setattr(resident, "_look", lambda: None)
     before = resident.highest() / 1e6
-    above = int(before - resident.resident() / 1e6) + 200
+    above = int(before - held_memory()[0] / 1e6) + 200
     with PeakWatch() as watch:
         held(above).close()
     assert before + 150 < watch.mb < before + 250
