@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.method.families.cloud import Cloud
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
@@ -181,7 +182,7 @@ def _run_in(
         if declared:
             _numbers_are_declared(plan, record)
         return record, folder
-    return run_sweep(session, plan, folder, workers=workers, executor=executor, threads=threads), folder
+    return run_sweep(session, plan, folder, WorkerOptions(workers=workers, executor=executor, threads=threads)), folder
 
 
 def _numbers_are_declared(plan, record):

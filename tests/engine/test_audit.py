@@ -71,7 +71,7 @@ def test_the_configuration_may_lower_a_breach(audited_work):
 
 def test_rows_of_a_sweep_are_audited(audited_work):
     session = audited_work.session("params: {v: 0}\nsweep: {v: [3, 7]}\n" + config("'${v}'"))
-    record = run_sweep(session, session.plan(), audited_work.folder / "out", workers=1, executor=None, threads=1)
+    record = run_sweep(session, session.plan(), audited_work.folder / "out")
     assert [row["breaches"] for row in record["runs"]] == [[], ["the number: 7, expected 3 +- 0.5"]]
     assert "run 0001: the number: 7" in breach_error(record).message
 

@@ -19,6 +19,7 @@ from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.outputs import RunFolder
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
@@ -525,7 +526,7 @@ SWEEP = TEXT.replace("  - check.look\n", "") + "sweep: {count: [10, 20, 30]}\n"
 def sweep(lab, text=SWEEP, **how):
     lab.log.write_text("")
     session = lab.work.session(text, plugins=[lab.plugin], **how)
-    run_sweep(session, session.plan(), lab.work.folder / "out", workers=1, executor=None, threads=1, cache=lab.cache)
+    run_sweep(session, session.plan(), lab.work.folder / "out", WorkerOptions(cache=lab.cache))
     return lab.files()
 
 

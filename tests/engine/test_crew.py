@@ -18,6 +18,7 @@ from sppm_pipeline.engine.run import crew as crew_module
 from sppm_pipeline.engine.run import workers as items_module
 from sppm_pipeline.engine.run.crew import WorkerPool
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.workers import Driver, name_of
 from sppm_pipeline.errors import ConfigError, NativeCrash, PluginError
@@ -96,8 +97,8 @@ def run(work, how, *, workers=2, retries=2, executor=None, heard=None):
     crew = None
     if workers:
         crew = WorkerPool(
-            session.plugins, folder / "out", executor=executor, workers=workers, threads=4, retries=retries,
-            monitor=heard,
+            session.plugins, folder / "out",
+            WorkerOptions(executor=executor, workers=workers, threads=4, retries=retries), monitor=heard,
         )  # fmt: skip
     record = run_plan(session.plan(), folder / "out", threads=2, crew=crew)
     assert [path.name for path in (folder / "out").iterdir()] == ["run.json"]  # nothing of the workers is left
@@ -177,7 +178,7 @@ def here(tmp_path, monkeypatch):
     plugins = load_plugins(["sppm_pipeline.engine.run.executors"], distributions=False)
     plugins.plugins[0].executors["here"] = lambda workers: Here()
     monkeypatch.setattr(Here, "lost", ())
-    crew = WorkerPool(plugins, tmp_path / "run", executor="here", workers=2, threads=5, retries=1)
+    crew = WorkerPool(plugins, tmp_path / "run", WorkerOptions(executor="here", workers=2, threads=5, retries=1))
     yield crew
     crew.close()
     assert not list((tmp_path / "run").iterdir())
@@ -291,6 +292,6 @@ def test_a_worker_of_another_version_is_refused(here, monkeypatch):
 
 
 def test_executors_of_this_process_are_no_crew():
-    assert [WorkerPool.wanted(name, workers) for name, workers in (
+    assert [WorkerOptions(executor=name, workers=workers).apart for name, workers in (
         (None, 1), (None, 2), ("serial", 4), ("threads", 4), ("processes", 1), ("dask:tcp://head:8786", 1)
     )] == [False, True, False, False, True, True]  # fmt: skip

@@ -19,7 +19,7 @@ from sppm_pipeline.engine.plan import session as sessions
 from sppm_pipeline.engine.plan.checking import checked
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor, serve
+from sppm_pipeline.engine.run.executors import SerialExecutor, WorkerOptions, make_executor, serve
 from sppm_pipeline.engine.run.runner import StepRunner
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.engine.run.sweep_table import csv_text, numbers_of, rows_of
@@ -46,7 +46,11 @@ def run(work, text=TEXT, *, to="out", workers=1, executor=None, **how):
     session = work.session(text, **how)
     checked(session, folder=None)
     return run_sweep(
-        session, session.plan(), work.folder / to, workers=workers, executor=executor, threads=2, monitor=Monitor()
+        session,
+        session.plan(),
+        work.folder / to,
+        WorkerOptions(workers=workers, executor=executor, threads=2),
+        monitor=Monitor(),
     )
 
 
@@ -149,7 +153,7 @@ def test_a_sweep_can_be_repeated_from_its_record_and_into_its_directory(work):
 
     (work.folder / "copy.json").write_text(record)
     session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).request.builtins, (), False))
-    run_sweep(session, session.plan(), work.folder / "a", workers=1, executor=None, threads=1)
+    run_sweep(session, session.plan(), work.folder / "a")
     assert (work.folder / "a" / "sweep.csv").read_bytes() == before
     assert sorted(path.name for path in (work.folder / "a" / "runs").iterdir()) == [f"{i:04}" for i in range(6)]
 
@@ -349,7 +353,7 @@ def test_rows_are_told_of_as_they_end(work):
             heard.append((done, len(list((work.folder / "out" / "runs").iterdir()))))
 
     session = work.session(TEXT)
-    run_sweep(session, session.plan(), work.folder / "out", workers=1, executor=None, threads=1, monitor=Heard())
+    run_sweep(session, session.plan(), work.folder / "out", monitor=Heard())
     assert heard == [(row, row) for row in range(1, 7)]
 
 
@@ -487,7 +491,7 @@ def test_what_an_executor_says_of_a_row_is_recorded_for_that_row(work):
     session = work.session(DEADLY.replace("[0, 11, 0, -11, 256]", "[0, 0, 0, 0, 0]"), plugins=[path])
     folder = work.folder / "out"
     record = run_sweep(
-        session, session.plan(), folder, workers=3, executor="flaky", threads=1, monitor=Heard(), retries=4
+        session, session.plan(), folder, WorkerOptions(workers=3, executor="flaky", retries=4), monitor=Heard()
     )
     assert [row["status"] for row in record["runs"]] == ["done", "failed", "failed", "done", "done"]
     lost, crashed = (record["runs"][row]["error"] for row in (1, 2))

@@ -61,7 +61,7 @@ def out(work, request):
         work.run(SINGLE, plugins=[plugin])
     else:
         session = work.session(SWEEP, plugins=[plugin])
-        run_sweep(session, session.plan(), work.folder / "out", workers=1, executor=None, threads=1)
+        run_sweep(session, session.plan(), work.folder / "out")
     return work.folder / "out"
 
 
@@ -141,7 +141,7 @@ def test_a_row_of_another_sweep_is_found(work):
     plugin = work.write(FOLDER, "folder.py")
     for to, seed in (("a", 1), ("b", 2)):
         session = work.session(SWEEP, plugins=[plugin], seed=seed)
-        run_sweep(session, session.plan(), work.folder / to, workers=1, executor=None, threads=1)
+        run_sweep(session, session.plan(), work.folder / to)
     shutil.rmtree(work.folder / "a" / "runs" / "0001")
     shutil.copytree(work.folder / "b" / "runs" / "0001", work.folder / "a" / "runs" / "0001")
     assert found(work.folder / "a") == [("changed", "runs/0001/run.json")]

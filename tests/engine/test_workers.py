@@ -8,6 +8,7 @@ import pytest
 
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run import workers
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.workers import announced, check_worker
 from sppm_pipeline.errors import ConfigError, ResourceError
 
@@ -16,7 +17,7 @@ from sppm_pipeline.errors import ConfigError, ResourceError
 def driver(tmp_path):
     workers._looked_at.cache_clear()
     plugins = load_plugins(["sppm_pipeline.engine.run.executors"], distributions=False)
-    with announced(tmp_path / "run", tmp_path / "cache", plugins) as made:
+    with announced(tmp_path / "run", WorkerOptions(cache=tmp_path / "cache"), plugins) as made:
         yield made
     assert not list(tmp_path.glob("*/*"))
 

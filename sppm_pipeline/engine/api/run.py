@@ -15,6 +15,7 @@ from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.session import Session
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
 from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
@@ -107,12 +108,9 @@ class Run:
                 self._session,
                 self._plan,
                 Path(path),
-                workers=jobs,
-                executor="threads",
-                threads=self._threads,
+                WorkerOptions(workers=jobs, executor="threads", threads=self._threads, cache=self._cache),
                 until=self._until,
                 monitor=monitor,
-                cache=self._cache,
             )
         else:
             self.record = run_plan(

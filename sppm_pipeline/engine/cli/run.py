@@ -9,6 +9,7 @@ import os
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.plan.session import Session
     from sppm_pipeline.engine.plan.wiring import Step
     from sppm_pipeline.engine.run.crew import WorkerPool
+    from sppm_pipeline.engine.run.executors import WorkerOptions
     from sppm_pipeline.stage import Headline
 
 
@@ -121,19 +123,27 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.engine.plan.estimate import unfit_problems
     from sppm_pipeline.engine.run.crew import min_samples
     from sppm_pipeline.engine.run.events import breach_error
-    from sppm_pipeline.engine.run.executors import default_executor
+    from sppm_pipeline.engine.run.executors import WorkerOptions
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     session = open_from(args)
     path = run_folder(args, session)
     plan, rows, estimates = checked(session, args.until, folder=path, jobs=args.jobs, history=history_of_machine(args))
+    cache = cache_of(args)
+    threads = args.threads or available_threads()
+    options = WorkerOptions(
+        workers=args.jobs,
+        executor=args.executor,
+        threads=threads,
+        cache=cache,
+        retries=args.retries,
+        same_processor=args.same_processor,
+    )
     fewest = 0.0
     if args.jobs > 1 and not rows:
         fewest = min_samples(args.executor, estimates[0])
-        if fewest < math.inf and (args.executor or default_executor(args.jobs)) == "processes":
+        if fewest < math.inf and options.name == "processes":
             raise_problems(unfit_problems(estimates, path, crew=args.jobs))
-    threads = args.threads or available_threads()
-    cache = cache_of(args)
     stack = contextlib.ExitStack()
     monitor = _monitor(args, stack)
     try:
@@ -147,7 +157,7 @@ def _execute(args: Namespace) -> int:
                 monitor=monitor,
                 store=open_store(cache) if cache is not None else None,
                 about=str(session.configuration.file.absolute()),
-                crew=_crew(args, session, path, threads, cache, monitor, fewest),
+                crew=_crew(session, path, options, monitor, fewest),
             )
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
@@ -158,15 +168,10 @@ def _execute(args: Namespace) -> int:
                 session,
                 plan,
                 path,
-                workers=args.jobs,
                 # a row that used up its time in this process would take the table of the others with it
-                executor=args.executor or ("processes" if args.stage_time is not None else None),
-                threads=threads,
+                options if args.stage_time is None else replace(options, executor=options.executor or "processes"),
                 until=args.until,
                 monitor=monitor,
-                cache=cache,
-                retries=args.retries,
-                same_processor=args.same_processor,
             )
     except Exception as error:
         if args.json and hasattr(error, "record"):
@@ -213,36 +218,15 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     return monitor
 
 
-def _crew(
-    args: Namespace,
-    session: Session,
-    path: Path,
-    threads: int,
-    cache: Path | None,
-    monitor: Waiting,
-    fewest: float,
-) -> WorkerPool | None:
+def _crew(session: Session, path: Path, options: WorkerOptions, monitor: Waiting, fewest: float) -> WorkerPool | None:
     """The workers of a single run, if it is to have any; started when a stage asks for them."""
-    if args.executor is None and args.jobs == 1:
+    if options.executor is None and options.workers == 1:
         return None
     from sppm_pipeline.engine.run.crew import WorkerPool
     from sppm_pipeline.engine.run.executors import require_executor
 
-    require_executor(args.executor, args.jobs, session.plugins)
-    if not WorkerPool.wanted(args.executor, args.jobs):
-        return None
-    return WorkerPool(
-        session.plugins,
-        path,
-        executor=args.executor,
-        workers=args.jobs,
-        threads=threads,
-        cache=cache,
-        retries=args.retries,
-        same_processor=args.same_processor,
-        monitor=monitor,
-        fewest=fewest,
-    )
+    require_executor(options.executor, options.workers, session.plugins)
+    return WorkerPool(session.plugins, path, options, monitor=monitor, fewest=fewest) if options.apart else None
 
 
 def _write_report(args: Namespace, path: Path) -> None:

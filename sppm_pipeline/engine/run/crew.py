@@ -17,14 +17,11 @@ from sppm_pipeline.engine.plan.estimate import PlanEstimate
 from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import LISTENING, default_executor, make_executor, stop_workers
+from sppm_pipeline.engine.run.executors import LISTENING, WorkerOptions, make_executor, stop_workers
 from sppm_pipeline.engine.run.outputs import staging_name
 from sppm_pipeline.engine.run.workers import Driver, Kept, Task, announced, name_of, run_item
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, described
 from sppm_pipeline.nouns.storage import save_value
-
-HERE = ("serial", "threads")
-"""Executors of this process, whose stages use its threads as they are."""
 
 AHEAD = 2
 """Items in work or waiting for each worker, so that none waits for the next: a heuristic; more takes memory only."""
@@ -47,34 +44,24 @@ class _Job:
 class WorkerPool:
     """The workers of one run, started when a stage first asks for them.
 
-    `path` is the run directory, which they share; `threads` are those of all workers together, as argument, and of
-    each, as attribute; an item whose worker died is handed out again `retries` times; stages below `fewest` samples get
-    no workers (`min_samples`). `warn` is called once with each warning of a worker.
+    `path` is the run directory, which they share; `threads` are those of each; stages below `fewest` samples get no
+    workers (`min_samples`). `warn` is called once with each warning of a worker.
     """
 
     def __init__(
         self,
         plugins: Plugins,
         path: Path,
+        options: WorkerOptions,
         *,
-        executor: str | None,
-        workers: int,
-        threads: int,
-        cache: Path | None = None,
-        retries: int = 2,
-        same_processor: bool = False,
         monitor: Monitor | None = None,
         fewest: float = 0.0,
     ) -> None:
-        self.workers = workers
-        self.threads = max(1, threads // workers)
+        self.workers, self.threads = options.workers, options.threads_each
         self.warn: Callable[[str], None] = lambda message: None
         self._plugins = plugins
         self._path = path.resolve()
-        self._cache = cache.resolve() if cache is not None else None
-        self._executor = executor or default_executor(workers)
-        self._retries = retries
-        self._same_processor = same_processor
+        self._options = options
         self._monitor = monitor or Monitor()
         self._fewest = fewest
         self._ending = contextlib.ExitStack()
@@ -86,11 +73,6 @@ class WorkerPool:
         self._folders = 0
         self._announced = self._declined = False
         self._said: set[str] = set()
-
-    @staticmethod
-    def wanted(executor: str | None, workers: int) -> bool:
-        """True if an executor has workers beside this process; makes no attempt to find it."""
-        return (executor or default_executor(workers)).partition(":")[0] not in HERE
 
     def takes(self, samples: float) -> bool:
         """True if workers are given work of so many samples; if not, the monitor reports it, once."""
@@ -168,13 +150,13 @@ class WorkerPool:
 
     def _open(self) -> None:
         if self._driver is None:
-            driver = announced(self._path, self._cache, self._plugins, same_processor=self._same_processor)
+            driver = announced(self._path, self._options, self._plugins)
             self._driver = self._ending.enter_context(driver)
         if self._pool is None:
-            self._pool = make_executor(self._executor, self.workers, self._plugins)
+            self._pool = make_executor(self._options.name, self.workers, self._plugins)
             if not self._announced:
                 self._announced = True
-                self._monitor.crew_started(getattr(self._pool, "about", f"{self.workers} {self._executor}"))
+                self._monitor.crew_started(getattr(self._pool, "about", f"{self.workers} {self._options.name}"))
 
     def _stop(self) -> None:
         if self._pool is not None:
@@ -216,7 +198,7 @@ class WorkerPool:
                 self._count([job], error)
                 self._submit(job)
             elif isinstance(error, (CancelledError, ConnectionError)):
-                text = f"the executor {self._executor!r} lost work: {described(error)}"
+                text = f"the executor {self._options.name!r} lost work: {described(error)}"
                 raise PluginError(text, hint="the same command goes on after the last stage that has ended") from error
             else:
                 raise error
@@ -234,7 +216,7 @@ class WorkerPool:
         """Note that a worker has died while these were in its hands."""
         for job in jobs:
             job.deaths += 1
-        if (deaths := max(job.deaths for job in jobs)) > self._retries:
+        if (deaths := max(job.deaths for job in jobs)) > self._options.retries:
             why = f": {error}" if isinstance(error, NativeCrash) else ""
             times = "once" if deaths == 1 else f"{deaths} times"
             raise NativeCrash(

@@ -11,6 +11,8 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.config.problems import did_you_mean
@@ -82,6 +84,33 @@ def _leave_after_parent() -> None:
 def sppm_executors() -> Mapping[str, Callable[[int], Executor]]:
     """The built-in executors."""
     return {"serial": _serial, "threads": _threads, "processes": _processes}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerOptions:
+    """What is asked of the workers of a sweep or of a single run; `threads` are those of all together."""
+
+    workers: int = 1
+    executor: str | None = None  # processes if there is more than one worker
+    threads: int = 1
+    cache: Path | None = None
+    retries: int = 2  # runs again of work whose worker died: it may have died because of work beside it
+    same_processor: bool = False  # whether workers on another kind of processor are refused
+
+    @property
+    def name(self) -> str:
+        """The executor, with the place where its workers are."""
+        return self.executor or default_executor(self.workers)
+
+    @property
+    def apart(self) -> bool:
+        """True if they are no part of this process, whose stages use its threads as they are."""
+        return self.name.partition(":")[0] not in ("serial", "threads")
+
+    @property
+    def threads_each(self) -> int:
+        """Threads of a worker."""
+        return max(1, self.threads // self.workers)
 
 
 def default_executor(workers: int) -> str:

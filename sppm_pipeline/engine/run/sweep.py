@@ -6,7 +6,6 @@ import contextlib
 import os
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from sppm_pipeline.engine.process.budget import MEMORY
 from sppm_pipeline.engine.process.containment import STAGE_TIME
 from sppm_pipeline.engine.run.contract import CONTRACT
 from sppm_pipeline.engine.run.events import Monitor, Observers
-from sppm_pipeline.engine.run.executors import default_executor, make_executor, serve
+from sppm_pipeline.engine.run.executors import WorkerOptions, make_executor, serve
 from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs, staging_name
 from sppm_pipeline.engine.run.record import Recorder, mark_ended
 from sppm_pipeline.engine.run.rows import dead_row, ended_row, failed_row, overdue_error, run_row, store_in
@@ -37,29 +36,21 @@ IN_FLIGHT = 64
 Fewer may let workers wait for this process; more only delay an interrupt. A factor of two changes neither noticeably.
 """
 
-RETRIES = 2
-"""Runs again of a row whose worker died, by default: it may have died because of a row beside it."""
-
 
 def run_sweep(
     session: Session,
     plan: Plan,
     path: Path,
+    options: WorkerOptions = WorkerOptions(),  # noqa: B008 - frozen
     *,
-    workers: int,
-    executor: str | None,
-    threads: int,
     until: str | None = None,
     monitor: Monitor | None = None,
-    cache: Path | None = None,
-    retries: int = RETRIES,
-    same_processor: bool = False,
 ) -> dict[str, Any]:
     """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
 
-    Row i runs in ``runs/<i>`` of the run directory; `plan` is that of the configuration without a row. `workers` rows
-    run at the same time and share the `threads`. A row whose worker died is run again alone, `retries` times. With
-    `until`, `after` is left out. Without a `cache`, rows that an interrupted sweep had finished run again, too.
+    Row i runs in ``runs/<i>`` of the run directory; `plan` is that of the configuration without a row. A row whose
+    worker died is run again alone. With `until`, `after` is left out. Without a cache, rows that an interrupted sweep
+    had finished run again, too.
 
     Returns the record, whose `runs` lists the rows; rows that fail do not raise. An `SppmError` says what stopped the
     sweep before any row had ended, after its table has been written; its attribute ``record`` holds the record.
@@ -68,19 +59,10 @@ def run_sweep(
     rows = session.rows
     # a wrong --until fails before any row has run
     plan.until(until)
-    asked = _Asked(
-        workers=workers,
-        executor=executor or default_executor(workers),
-        threads=max(1, threads // workers),
-        until=until,
-        cache=None if cache is None else cache.resolve(),
-        retries=retries,
-        same_processor=same_processor,
-    )
-    with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
+    with Recorder(plan, path, threads=options.threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))
-        found, stopped = _run_rows(session, path, names, asked, monitor)
+        found, stopped = _run_rows(session, path, names, options, until, monitor)
         # rows of an earlier, longer sweep would be taken for results of this one
         remove_stale_runs(path, names)
         columns = columns_of(found)
@@ -99,12 +81,12 @@ def run_sweep(
                 plan.after,
                 plan.recipes,
                 seed=plan.seed,
-                threads=threads,
+                threads=options.threads,
                 folder=recorder.folder,
                 monitor=monitor,
                 observers=Observers([recorder, monitor], plan.plugins, recorder.warn),
                 available={SWEEP_ID: _table(columns, found, path)},
-                store=store_in(cache),
+                store=store_in(options.cache),
                 checkpoint=recorder.checkpoint,
             ).run()
         recorder.status = "done" if all(done) else "failed"
@@ -133,21 +115,8 @@ def _row_names(count: int) -> list[str]:
     return [f"{i:0{digits}}" for i in range(count)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Asked:
-    """Arguments of a sweep that its rows share; see `run_sweep`. Here `threads` are those of each worker."""
-
-    workers: int
-    executor: str
-    threads: int
-    until: str | None
-    cache: Path | None
-    retries: int
-    same_processor: bool
-
-
 def _run_rows(
-    session: Session, path: Path, names: Sequence[str], asked: _Asked, monitor: Monitor
+    session: Session, path: Path, names: Sequence[str], options: WorkerOptions, until: str | None, monitor: Monitor
 ) -> tuple[list[dict[str, Any]], SppmError | None]:
     """Hand the rows to an executor; results in the order of the rows, and what stopped it before any row had ended.
 
@@ -184,12 +153,12 @@ def _run_rows(
         elif isinstance(error, SppmError):
             raise error
         else:
-            text = f"the executor {asked.executor!r} lost run {names[number]!r}: {described(error)}"
+            text = f"the executor {options.name!r} lost run {names[number]!r}: {described(error)}"
             ended(number, failed_row(session, tasks[number], PluginError(text)))
 
     def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:
         # a new one each time: after a worker died, pools of processes take no more tasks
-        pool = make_executor(asked.executor, workers, session.plugins)
+        pool = make_executor(options.name, workers, session.plugins)
         if len(left) == len(tasks):
             monitor.sweep_started(getattr(pool, "about", ""), len(tasks))
         if hasattr(pool, "notify"):
@@ -199,7 +168,7 @@ def _run_rows(
     def alone(number: int) -> None:
         codes: list[int] = []
         # alone, a row can take down no other, and its death is its own
-        for _ in range(asked.retries):
+        for _ in range(options.retries):
             suspects.discard(number)
             again[number] = again.get(number, 0) + 1
             broken, codes = serve_rows(1, {number: tasks[number]})
@@ -213,14 +182,14 @@ def _run_rows(
     try:
         with (
             _notes_folder(path) as folder,
-            announced(path, asked.cache, session.plugins, same_processor=asked.same_processor) as driver,
+            announced(path, options, session.plugins) as driver,
         ):
             common = {
                 "request": session.request.absolute(),
                 "sweep": uuid.uuid4().hex,
-                "threads": asked.threads,
-                "until": asked.until,
-                "cache": asked.cache,
+                "threads": options.threads_each,
+                "until": until,
+                "cache": None if options.cache is None else options.cache.resolve(),
                 "from": os.getpid(),
                 "driver": driver,
                 "limits": {name: os.environ.get(name) for name in (STAGE_TIME, MEMORY, CONTRACT)},
@@ -230,7 +199,7 @@ def _run_rows(
                 for i, name in enumerate(names)
             ]
             while left := {i: task for i, task in enumerate(tasks) if i not in results}:
-                broken, _ = serve_rows(asked.workers, left)
+                broken, _ = serve_rows(options.workers, left)
                 if broken is not None and not end_overdue(left.keys() - results.keys()):
                     # those that had begun when the pool broke: one of them, or the machine, is the cause
                     begun = {i for i, task in left.items() if i not in results and Path(task["notes"]).exists()}

@@ -20,6 +20,7 @@ from sppm_pipeline.engine.cache.identity import environment, installed_version, 
 from sppm_pipeline.engine.files import DISK
 from sppm_pipeline.engine.plan.plugin_files import import_file
 from sppm_pipeline.engine.plan.plugins import Plugins
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.outputs import staging_name
 from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.nouns.storage import DamagedError, StoredFile, load_value
@@ -42,12 +43,12 @@ class Driver:
 
 
 @contextlib.contextmanager
-def announced(path: Path, cache: Path | None, plugins: Plugins, *, same_processor: bool = False) -> Iterator[Driver]:
+def announced(path: Path, options: WorkerOptions, plugins: Plugins) -> Iterator[Driver]:
     """This process as a driver, with its tokens in the run directory and in the cache for as long as rows run."""
     distributions = _distributions(plugins)
     tokens = [path / staging_name()]
-    if cache is not None:  # the same sweep again takes the place of what a killed one has left there
-        tokens.append(cache / f"driver-{hashlib.sha256(str(path).encode()).hexdigest()[:16]}")
+    if options.cache is not None:  # the same sweep again takes the place of what a killed one has left there
+        tokens.append(options.cache.resolve() / f"driver-{hashlib.sha256(str(path).encode()).hexdigest()[:16]}")
     # tokens show that a worker sees the same folders, not others of the same name
     driver = Driver(
         host=socket.gethostname(),
@@ -55,7 +56,7 @@ def announced(path: Path, cache: Path | None, plugins: Plugins, *, same_processo
         versions=tuple(_versions(distributions).items()),
         tokens=tuple(str(token) for token in tokens),
         token=secrets.token_hex(8),
-        same_processor=same_processor,
+        same_processor=options.same_processor,
     )
     try:
         for token in tokens:

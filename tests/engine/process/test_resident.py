@@ -53,7 +53,7 @@ def test_beginning_and_end_are_looked_at_whatever_the_thread_does(monkeypatch, f
     now = [first]
     monkeypatch.setattr(resident, "_look", lambda: None)
     monkeypatch.setattr(resident, "highest", lambda: 10**10)
-    monkeypatch.setattr(resident, "resident", lambda: now[0])
+    monkeypatch.setattr(resident, "held_memory", lambda: (now[0], 0))
     with PeakWatch() as watch:
         now[0] = last
     assert watch.mb == 5

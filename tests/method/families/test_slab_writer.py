@@ -15,6 +15,7 @@ import pytest
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run import crew
 from sppm_pipeline.engine.run.crew import WorkerPool
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.method.families.layer_writer import LayerWriter
 from sppm_pipeline.method.part.part import Part
@@ -249,7 +250,7 @@ def test_real_workers_of_which_one_dies_in_the_middle_of_a_slab(tmp_path):
         )
         session, path, crew = open_session(request), tmp_path / to, None
         if mark:
-            crew = WorkerPool(session.plugins, path, executor=None, workers=2, threads=2)
+            crew = WorkerPool(session.plugins, path, WorkerOptions(workers=2, threads=2))
         record = run_plan(session.plan(), path, threads=2, crew=crew)
         files = {
             file.name: file.read_bytes()
