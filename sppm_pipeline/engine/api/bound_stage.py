@@ -318,8 +318,8 @@ class BoundStage(Generic[Takes, Makes]):
                 runs.prepare()
             try:
                 runner = StepRunner(
-                    plan.steps,
-                    plan.recipes,
+                    steps=plan.steps,
+                    recipes=plan.recipes,
                     # no default seed: two calls would silently draw the same numbers
                     seed=MissingSeed() if seed is None else seed,
                     threads=threads or available_threads(),

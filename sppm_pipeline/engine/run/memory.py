@@ -71,8 +71,8 @@ def run_in_memory(
 
     with tempfile.TemporaryDirectory(prefix="sppm-") as scratch:
         runner = StepRunner(
-            steps,
-            plan.recipes,
+            steps=steps,
+            recipes=plan.recipes,
             seed=plan.seed,
             threads=threads,
             folder=Scratch(Path(scratch)),

@@ -12,6 +12,7 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -81,8 +82,8 @@ def run_plan(
         # workers end before the record is sealed, as they write into the run directory
         with contextlib.nullcontext() if crew is None else contextlib.closing(crew):
             StepRunner(
-                steps,
-                plan.recipes,
+                steps=steps,
+                recipes=plan.recipes,
                 seed=plan.seed,
                 threads=threads,
                 folder=recorder.folder,
@@ -105,6 +106,7 @@ def only_writes(step: Step) -> bool:
     return not step.makes and any(option.default is not None for option in outputs)
 
 
+@dataclass(eq=False, kw_only=True)
 class StepRunner:
     """Runs steps in order; knows what they made, and what is to be recorded of each (`entries`).
 
@@ -114,47 +116,37 @@ class StepRunner:
     first step; `checkpoint` is called before outputs are moved to their places. For the others see `run_plan`.
     """
 
-    def __init__(
-        self,
-        steps: Sequence[Step],
-        recipes: RecipeSteps,
-        *,
-        seed: int,
-        threads: int,
-        folder: RunFolder | Scratch,
-        monitor: Monitor,
-        observers: Observers,
-        store: Store | None = None,
-        about: str = "",
-        available: Mapping[str, Any] = MappingProxyType({}),
-        checkpoint: Callable[[], None] = lambda: None,
-        keep: Collection[str] = (),
-        earlier: StepRunner | None = None,
-        crew: WorkerPool | None = None,
-    ) -> None:
+    steps: Sequence[Step]
+    recipes: RecipeSteps
+    seed: int
+    threads: int
+    folder: RunFolder | Scratch
+    monitor: Monitor
+    observers: Observers
+    store: Store | None = None
+    about: str = ""
+    available: Mapping[str, Any] = field(default_factory=dict)
+    checkpoint: Callable[[], None] = lambda: None
+    keep: Collection[str] = ()
+    earlier: StepRunner | None = None
+    crew: WorkerPool | None = None
+
+    def __post_init__(self) -> None:
         self.entries: list[dict[str, Any]] = []
-        self._steps = {step.id: step for step in steps}
-        self._recipes = recipes
-        self._seed = seed
-        self._threads = threads
-        self._folder = folder
-        self._monitor = monitor
-        self._observers = observers
-        self._checkpoint = checkpoint
-        self._keep = keep
-        self._earlier = earlier
-        self._crew = crew
+        self._steps = {step.id: step for step in self.steps}
         self._facts: dict[str, dict[str, Any]] = {}
         self._begun: dict[str, Any] = {}
         # steps that gave away what they made, and those that took it, with their share of the seconds it took
         self._handed_on: dict[str, float] = {}
-        self._results = dict(available)
+        self._results = dict(self.available)
         self._cache: CacheSession | None = None
-        if store is not None:
+        if self.store is not None:
             from sppm_pipeline.engine.cache.session import CacheSession
 
-            self._cache = CacheSession(store, monitor.warning, seed=seed, recipes=recipes, about=about)
-            for id_, artifact in available.items():
+            self._cache = CacheSession(
+                self.store, self.monitor.warning, seed=self.seed, recipes=self.recipes, about=self.about
+            )
+            for id_, artifact in self.available.items():
                 self._cache.given(id_, artifact.digest())
 
     def run(self) -> None:
@@ -164,10 +156,10 @@ class StepRunner:
         try:
             for number, (step, done) in enumerate(zip(steps, last_uses(steps), strict=True), 1):
                 check()
-                self._monitor.stage_started(step.id, number, len(steps))
+                self.monitor.stage_started(step.id, number, len(steps))
                 self._live(step)
                 # after the last step all results go with this object
-                needless |= done - set(self._keep)
+                needless |= done - set(self.keep)
                 if number < len(steps):
                     for id_ in needless:
                         self._results.pop(id_, None)
@@ -175,7 +167,7 @@ class StepRunner:
                 # time that one stage has spent on the work of another says nothing about either
                 # the cache learns from stages that ran alone only
                 own = [entry for entry in self.entries if entry["id"] not in self._handed_on]
-                learn(self._cache.store, steps, self._recipes, own)
+                learn(self._cache.store, steps, self.recipes, own)
         finally:
             if self._cache is not None:
                 self._cache.close()
@@ -184,14 +176,14 @@ class StepRunner:
         """The life of a stage: taken from the cache or an earlier run, or run; recorded, and reported."""
         started = time.perf_counter()
         try:
-            if isinstance(self._folder, Scratch) and only_writes(step):
+            if isinstance(self.folder, Scratch) and only_writes(step):
                 facts: dict[str, Any] = {}
                 about = {"id": step.id, "stage": step.stage.name, "made": None, "seconds": 0.0}
                 entry: Entry = {**about, "skipped": True, "summary": {}}
             else:
                 with PeakWatch() as memory:
                     kept = self._cached(step)
-                    made = self._earlier._facts.get(step.id) if self._earlier is not None else None
+                    made = self.earlier._facts.get(step.id) if self.earlier is not None else None
                     reused = made if made is not None and not made["wrote"] else None  # what wrote has to write here
                     # in the order of their cost: the cache, an earlier run in memory, the stage itself
                     facts = kept or reused or self._fresh(step)
@@ -208,7 +200,7 @@ class StepRunner:
             raise rejection
 
     def _report(self, step: Step, entry: Entry, seconds: float, error: Exception | None) -> None:
-        self._observers.stage_finished(
+        self.observers.stage_finished(
             StageEvent(
                 address=step.address,
                 stage=step.stage.name,
@@ -231,29 +223,29 @@ class StepRunner:
         facts["wrote"] = bool(outputs)
         if outputs:
             # a run in memory shows results, and has no place for files
-            if isinstance(self._folder, Scratch):
+            if isinstance(self.folder, Scratch):
                 facts["outputs"] = []
-            elif not self._folder.holds(step.address, outputs) and not self._cache.restore(
-                step, self._folder, outputs, self._checkpoint
+            elif not self.folder.holds(step.address, outputs) and not self._cache.restore(
+                step, self.folder, outputs, self.checkpoint
             ):
                 return None
         # a warning belongs to the result, whenever that was computed
         for at, message in facts["warnings"]:
-            self._monitor.warning(at, message)
+            self.monitor.warning(at, message)
         return facts
 
     def _fresh(self, step: Step) -> dict[str, Any]:
         """Run a step; what the record says of it, also if it rejects what it got and leaves a report."""
         # inputs, and the stage under its contract
-        log = StageLog(self._monitor, step.address)
+        log = StageLog(self.monitor, step.address)
         inputs = self._inputs(step)
         started = time.perf_counter()
         made, rejection = None, None
         try:
-            made = self._made(step, inputs, log, self._folder, lambda: self._readers(step))
+            made = self._made(step, inputs, log, self.folder, lambda: self._readers(step))
         except Rejected as error:
             # a report of why it was rejected is all that a failed check leaves
-            if not error.keep_outputs or isinstance(self._folder, Scratch):
+            if not error.keep_outputs or isinstance(self.folder, Scratch):
                 raise
             rejection = error
         facts: dict[str, Any] = {
@@ -268,22 +260,22 @@ class StepRunner:
         if not whole:
             self._handed_on |= dict.fromkeys(takers, (time.perf_counter() - started) / len(takers)) | {step.id: 0.0}
         # outputs
-        wrote = bool(self._folder.pending())
+        wrote = bool(self.folder.pending())
         files: list[tuple[str, Path]] = []
-        if isinstance(self._folder, Scratch):
-            self._folder.discard()
+        if isinstance(self.folder, Scratch):
+            self.folder.discard()
         elif wrote:
             try:
-                self._checkpoint()
-                facts["outputs"] = self._folder.commit(rejection.stage if rejection is not None else None)
+                self.checkpoint()
+                facts["outputs"] = self.folder.commit(rejection.stage if rejection is not None else None)
             except SppmError as error:
                 error.where, error.stage = step.where, step.address
                 raise
-            files = [(output["path"], self._folder.path / output["path"]) for output in facts["outputs"]]
+            files = [(output["path"], self.folder.path / output["path"]) for output in facts["outputs"]]
         if rejection is not None:
             return {**facts, "wrote": wrote, "rejection": rejection}
         # cache
-        if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
+        if self._cache is not None and not (wrote and isinstance(self.folder, Scratch)):
             # what was taken from another stage while it was made can't be had without that stage
             seconds = time.perf_counter() - started + self._handed_on.get(step.id, 0.0)
             self._cache.keep(
@@ -304,17 +296,17 @@ class StepRunner:
     def _recovered(self, step: Step) -> Any:
         """The result of a step that ran before this run, or in it and was not kept in memory."""
         id_ = step.id
-        if isinstance(self._folder, Scratch) and only_writes(step):
+        if isinstance(self.folder, Scratch) and only_writes(step):
             return None
-        if self._earlier is not None:
-            return self._earlier.result(id_)
+        if self.earlier is not None:
+            return self.earlier.result(id_)
         assert self._cache is not None
         same_as = self._cache.same_as(id_)
         made = self.result(source) if same_as and (source := step.inputs[same_as]) else self._cache.load(id_)
         # its summary was worth keeping, the artifact was not: compute it again, without a word
         if made is None and step.makes:
             inputs = self._inputs(step)
-            scratch = self._folder.scratch()
+            scratch = self.folder.scratch()
             # its warnings and progress were shown when its summary was made
             log = StageLog(Monitor(), step.address)
             started = time.perf_counter()
@@ -334,24 +326,24 @@ class StepRunner:
         readers: Callable[[], Sequence[Any]] = tuple,
     ) -> Any:
         try:
-            return run_step(step, step.stage, inputs, self._context(step, log, folder, readers), self._recipes)
+            return run_step(step, step.stage, inputs, self._context(step, log, folder, readers), self.recipes)
         finally:
-            if self._crew is not None:
-                self._crew.forget()
+            if self.crew is not None:
+                self.crew.forget()
 
     def _context(
         self, step: Step, log: StageLog, folder: RunFolder | Scratch, readers: Callable[[], Sequence[Any]] = tuple
     ) -> RunContext:
         return RunContext(
-            seed=self._seed,
+            seed=self.seed,
             path=(step.id,),
             address=step.address,
-            threads=self._threads,
+            threads=self.threads,
             palette=Palette(),
             log=log,
             folder=folder,
             store=None if self._cache is None else self._cache.store,
-            crew=self._crew,
+            crew=self.crew,
             begun=self._begun.pop(step.id, None),
             readers=readers,
         )
@@ -359,7 +351,7 @@ class StepRunner:
     def _readers(self, step: Step) -> Sequence[Any]:
         """Begin all steps that read what a step makes; see `Context.begin_readers`."""
         readers = [other for other in self._steps.values() if step.id in other.inputs.values()]
-        if isinstance(self._folder, Scratch) or self._keep or self._earlier is not None or is_strict():
+        if isinstance(self.folder, Scratch) or self.keep or self.earlier is not None or is_strict():
             return ()
         # a reader with a second input would have to wait for it, and a plugin may keep what it is handed
         if any(len(other.inputs) > 1 or not other.owner.builtin for other in readers):
@@ -368,9 +360,9 @@ class StepRunner:
             return ()
         begun = []
         for other in readers:
-            log = StageLog(self._monitor, other.address)
+            log = StageLog(self.monitor, other.address)
             # one reader that needs the whole artifact makes all of them wait for it
-            taker = other.stage.begin(self._context(other, log, self._folder))
+            taker = other.stage.begin(self._context(other, log, self.folder))
             if taker is None:
                 return ()
             begun.append(taker)

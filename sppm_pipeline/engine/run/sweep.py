@@ -78,8 +78,8 @@ def run_sweep(
         # stages of `after` read the table, with gaps where a row failed
         if plan.after and until is None and any(done):
             StepRunner(
-                plan.after,
-                plan.recipes,
+                steps=plan.after,
+                recipes=plan.recipes,
                 seed=plan.seed,
                 threads=options.threads,
                 folder=recorder.folder,
