@@ -27,13 +27,7 @@ BUILTINS = (
 
 
 def stage_class(name: str) -> Any:
-    """The class of a stage of the method or of a feature, by its name, as a configuration would ask for it.
-
-    Raises
-    ------
-    LookupError
-        If none of them has it.
-    """
+    """The class of a stage of the method or of a feature, by its name; `LookupError` if none of them has it."""
     for module in ("sppm_pipeline.method", *FEATURES):
         if place := import_module(module).sppm_stages().get(name):
             found, _, cls = place.partition(":")

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 from sppm_pipeline.context import Context as Context
-from sppm_pipeline.errors import ConfigError, DesignError, Position
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.report import Headline as Headline
 from sppm_pipeline.nouns.size import Size
@@ -51,23 +51,15 @@ class Rejected(DesignError):
 
     Parameters
     ----------
-    message, hint, where, stage
+    message, **details
         See `SppmError`.
     keep_outputs : bool
         Whether what the stage has written is whole and stays in the run directory, such as a report that says why; its
         summary is then recorded, too. Not in the cache, and not if a draw follows.
     """
 
-    def __init__(
-        self,
-        message: str,
-        *,
-        hint: str | None = None,
-        where: Position | None = None,
-        stage: str | None = None,
-        keep_outputs: bool = False,
-    ) -> None:
-        super().__init__(message, hint=hint, where=where, stage=stage)
+    def __init__(self, message: str, *, keep_outputs: bool = False, **details: Any) -> None:
+        super().__init__(message, **details)
         self.keep_outputs = keep_outputs
 
 

@@ -177,13 +177,7 @@ class CheckFamily(Family):
 
 @cache
 def family_of(name: str) -> Family:
-    """A family of stages, by its name.
-
-    Raises
-    ------
-    AttributeError
-        If no stage has such a name.
-    """
+    """A family of stages, by its name; `AttributeError` if no stage has such a name."""
     if name not in FAMILIES and not (name.isidentifier() and any(one.startswith(f"{name}.") for one in registry())):
         raise AttributeError(f"no family of stages is called {name!r}")
     return (CheckFamily if name == "check" else Family)(name, make_function)

@@ -43,17 +43,8 @@ class WarningMonitor(Monitor):
 
 
 class SweepProgress:
-    """How many runs of a sweep have ended, and how long the rest may take.
-
-    Nothing is shown where no one looks: if the stream is neither a terminal nor the output of a notebook.
-
-    Parameters
-    ----------
-    total : int
-    stream : text stream, optional
-        Standard error if omitted.
-    clock : function, optional
-        Seconds.
+    """How many runs of a sweep have ended, and how long the rest may take; nothing is shown where no one looks, on a
+    stream that is neither a terminal nor the output of a notebook.
     """
 
     def __init__(self, total: int, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:

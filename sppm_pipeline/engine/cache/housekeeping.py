@@ -177,10 +177,7 @@ FOLDER, SIZE = "SPPM_CACHE", "SPPM_CACHE_CAP"
 def cache_folder(given: Path | None = None) -> Path | None:
     """The folder of the cache: `given`, else ``SPPM_CACHE``, else in the user's cache folder; None if turned off.
 
-    Raises
-    ------
-    ConfigError
-        If another user may have written to the folder that was named.
+    `ConfigError` if another user may have written to the folder that was named.
     """
     if given is not None:
         return _vouched(given.absolute(), "--cache")

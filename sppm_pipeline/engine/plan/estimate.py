@@ -261,14 +261,13 @@ def estimate_steps(
     found: list[StageEstimate] = []
     for step, done in zip(steps, last_uses(steps), strict=True):
         inner: list[tuple[float, StageEstimate]] = []
-        made = _size(step, sizes, recipes, palette, history, inner)
+        made = _size(step, sizes, recipes, palette, inner)
         size = None if isinstance(made, ConfigError) else made
         sizes[step.id] = size and (size.result or size)
         # a stage with `vary` replaces options of its recipe, whose own values then need not be allowed
         unfit = () if hasattr(step.stage, "vary") else tuple(error for _, stage in inner for error in stage.unfit)
         unfit = (*unfit, made) if isinstance(made, ConfigError) else unfit
-        key = step.stage.rated_as
-        own = None if size is None else cost(key, size.units())
+        own = None if size is None else cost(step.stage.rated_as, size.units())
         unknown = tuple(address for _, stage in inner for address in stage.unknown)
         total = None
         rated = 0.0
@@ -281,7 +280,7 @@ def estimate_steps(
             rated = own.seconds + sum(repeats * stage.rated for repeats, stage in inner)
             memory = max(own.memory, own.kept, *(stage.resident for _, stage in inner), 0.0)
             disk = own.disk + sum(repeats * one.disk for repeats, one in costs)
-            seconds, resident = by_history(history.get(key, ()), rated, resident + memory)
+            seconds, resident = by_history(history.get(step.stage.rated_as, ()), rated, resident + memory)
             total = Cost(seconds, memory, own.kept, disk)
         # stays in memory until the last stage that uses it has run
         kept[step.id] = total.kept if total else 0.0
@@ -309,7 +308,6 @@ def _size(
     sizes: Mapping[str, Size | None],
     recipes: RecipeSteps,
     palette: Palette,
-    history: History,
     inner: list[tuple[float, StageEstimate]],
 ) -> Size | ConfigError | None:
     """The size that a stage estimates, or the error of options that do not fit what it is given; None if unknown.

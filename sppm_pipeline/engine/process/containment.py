@@ -90,11 +90,15 @@ IMPORT_SECONDS = 20.0
 
 def import_seconds() -> float:
     """Seconds that the import of a plugin may take."""
+    return _seconds(IMPORT_TIME) or IMPORT_SECONDS
+
+
+def _seconds(variable: str) -> float | None:
     try:
-        seconds = float(os.environ.get(IMPORT_TIME, ""))
+        seconds = float(os.environ.get(variable, ""))
     except ValueError:
-        return IMPORT_SECONDS
-    return seconds if seconds > 0 else IMPORT_SECONDS
+        return None
+    return seconds if seconds > 0 else None
 
 
 @contextlib.contextmanager
@@ -160,11 +164,7 @@ _REDIRECTION = _Redirection()
 
 def stage_seconds() -> float | None:
     """Seconds that one stage may take; None if there is no limit."""
-    try:
-        seconds = float(os.environ.get(STAGE_TIME, ""))
-    except ValueError:
-        return None
-    return seconds if seconds > 0 else None
+    return _seconds(STAGE_TIME)
 
 
 @contextlib.contextmanager

@@ -75,16 +75,12 @@ class WritePicture(Stage):
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
         tiles, held = 1.0, VALUES_OF_A_PIXEL * pixels
-        if what.geometry is None and not (what.triangles or what.voxels):  # pores, or tunnels between them
+        if what.geometry is None or what.triangles or what.voxels:
             cell = what.design
             shown = cell.interior_pores + 2 * cell.face_pores if cell else what.pores
-            triangles = TRIANGLES_OF_A_PORE * shown + TRIANGLES_OF_A_TUNNEL * (cell.tunnels if cell else what.tunnels)
-            return Size(pixels=pixels, triangles=triangles, resident=held)
-        if what.triangles:
-            return Size(pixels=pixels, triangles=what.triangles, resident=held)
-        if what.voxels:
-            # as many as an image of pores and walls that are eight voxels wide has
-            return Size(pixels=pixels, triangles=what.voxels / 2, resident=held)
+            balls = TRIANGLES_OF_A_PORE * shown + TRIANGLES_OF_A_TUNNEL * (cell.tunnels if cell else what.tunnels)
+            # an image of pores and walls that are eight voxels wide has half as many triangles as voxels
+            return Size(pixels=pixels, triangles=what.triangles or what.voxels / 2 or balls, resident=held)
         body = what.body
         if what.cells > body.volume:  # a sheet of a tile set
             tiles, pixels = min(what.cells, MAX_TILES), 300.0 * 270
