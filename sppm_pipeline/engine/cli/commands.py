@@ -19,6 +19,7 @@ VERBS = {
     "plugins": "list plugins, and with --check why some cannot be loaded",
     "verify": "check that a run directory still holds what was written, to the byte",
     "cache": "show, check or shrink what is kept between runs",
+    "completion": "print the script that completes verbs, stages and options in a shell",
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }

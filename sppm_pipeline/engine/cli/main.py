@@ -158,6 +158,15 @@ def _built_in(verb: str) -> _Verb | None:
     return _Verb(words, configure, execute)
 
 
+_MEANT = {
+    "init": "`sppm new pipeline NAME` writes a first configuration",
+    "list": "`sppm stages` lists the stages, `sppm printers` the printers",
+    "slice": "slicing is a stage of a configuration: `sppm stages slice`; `sppm run FILE` runs it",
+    "mesh": "meshes are made by stages of a configuration: `sppm stages extract`; `sppm run FILE` runs them",
+}
+"""Verbs of other programs -> what to write here."""
+
+
 def _of_plugin(verb: str, words: list[str]) -> _Verb:
     """A verb from a plugin; plugins are loaded only for a verb that is not built in."""
     from sppm_pipeline.engine.cli.arguments import commands_of_plugins
@@ -170,6 +179,7 @@ def _of_plugin(verb: str, words: list[str]) -> _Verb:
     if verb not in commands:
         near = nearest(verb, [*built_in_commands(), *commands])
         hints = [f"did you mean {listed(near, 'or')}?" if near else "`sppm --help` lists them"]
+        hints = [_MEANT[verb]] if verb in _MEANT else hints
         hints += [f"{plugin} could not be loaded and may supply it" for plugin in failed]
         raise ConfigError(f"there is no verb {verb!r}", hint="; ".join(hints))
     return _Verb(commands[verb][1].help, *ready_command(verb, *commands[verb]))
@@ -184,13 +194,13 @@ def _usage(*, plugins: bool = False) -> str:
         "Design, verify, simulate and print stochastic porous microstructures.",
         "",
     ]
-    lines += [f"  {verb:9s} {command.help}" for verb, command in built_in_commands().items()]
+    lines += [f"  {verb:10s} {command.help}" for verb, command in built_in_commands().items()]
     if plugins:
         from sppm_pipeline.engine.cli.arguments import commands_of_plugins
 
         commands, _ = commands_of_plugins()
         lines += ["", "verbs of plugins:" if commands else "no plugin supplies a verb"]
-        lines += [f"  {verb:9s} {command.help}  [{plugin}]" for verb, (plugin, command) in sorted(commands.items())]
+        lines += [f"  {verb:10s} {command.help}  [{plugin}]" for verb, (plugin, command) in sorted(commands.items())]
     lines += ["", "`sppm VERB --help` shows the options of a verb, `sppm help --all` the verbs of plugins as well."]
     return "\n".join([*lines, EXIT_CODES]) + "\n"
 

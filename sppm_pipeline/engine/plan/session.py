@@ -30,10 +30,7 @@ def find_configuration(name: str) -> Path:
     path = Path(name)
     if path.exists():
         return path
-    package = Path(__file__).resolve().parents[2]
-    # a wheel carries them in the package; in a checkout they lie beside it
-    home = package if (package / "configs").is_dir() else package.parent
-    examples = {file.stem: file for folder in ("examples", "configs") for file in (home / folder).glob("*.yaml")}
+    examples = packaged_configurations()
     if name in examples:
         return examples[name]
     hint = did_you_mean(name, examples) if path.name == name and not path.suffix else None
@@ -41,6 +38,14 @@ def find_configuration(name: str) -> Path:
         siblings = [p.name for p in path.parent.glob("*") if p.suffix in (".yaml", ".yml", ".json")]
         hint = did_you_mean(path.name, siblings) if siblings else None
     raise ConfigError(f"there is no configuration {name!r}", hint=hint)
+
+
+def packaged_configurations() -> dict[str, Path]:
+    """Configurations and examples that come with the program, by name."""
+    package = Path(__file__).resolve().parents[2]
+    # a wheel carries them in the package; in a checkout they lie beside it
+    home = package if (package / "configs").is_dir() else package.parent
+    return {file.stem: file for folder in ("examples", "configs") for file in (home / folder).glob("*.yaml")}
 
 
 Row = Mapping[str, Entry]

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="a printer or resin to show, or a part of its name")
+    from sppm_pipeline.method.nouns.printer import cards
+
+    name = parser.add_argument("name", nargs="?", metavar="NAME", help="a printer or resin, or part of its name")
+    vars(name)["completions"] = sorted(cards().printers)  # for `sppm completion`
     parser.add_argument("--format", metavar="FORMAT", help="only printers whose file is sl1, goo or nanodlp")
     parser.add_argument(
         "--fits", type=_size, metavar="X,Y,Z", help="only printers that hold a part of this size, mm, as it lies"

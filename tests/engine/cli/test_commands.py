@@ -77,7 +77,7 @@ def test_help_loads_no_plugin_unless_it_is_to_list_all(install, capsys):
     assert main(["--help"]) == 0
     assert "show a thing" not in capsys.readouterr().out
     assert main(["help", "--all"]) == 0
-    assert "  show      show a thing  [sppm-show 1.2.3 (plugin 'show')]\n" in capsys.readouterr().out
+    assert "  show       show a thing  [sppm-show 1.2.3 (plugin 'show')]\n" in capsys.readouterr().out
 
 
 def test_plugins_check_lists_verbs(install, capsys):
@@ -144,3 +144,11 @@ def test_editors_find_the_schema_of_a_new_pipeline(tmp_path, monkeypatch, capsys
     assert main(["schema", "-o", place]) == 0
     assert "sample.dart_throwing" in (tmp_path / place).read_text()
     assert f"$schema={place}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("verb", "there"), [("init", "sppm new"), ("list", "stages"), ("slice", "stages slice"), ("mesh", "stages extract")]
+)
+def test_verbs_of_other_programs_are_answered(verb, there, capsys):
+    assert main([verb]) == 2
+    assert there in capsys.readouterr().err
