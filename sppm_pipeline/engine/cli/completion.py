@@ -25,13 +25,13 @@ class _Verb(NamedTuple):
     words: list[str]
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_completion(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("shell", choices=("bash", "zsh", "fish"), help="shell that the script is for")
     add_plugins(parser)
 
 
-def execute(args: Namespace) -> int:
+def execute_completion(args: Namespace) -> int:
     """Print the script."""
     from sppm_pipeline.engine.plan.registry import Registry
 
