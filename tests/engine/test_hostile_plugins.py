@@ -51,7 +51,11 @@ NUMBER = [0]
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Install a distribution: metadata, an entry point and one module."""
+    """Install a distribution: metadata, an entry point and one module.
+
+    Plugins that are installed for other tests are left out: each takes a process in every ``plugins --check``.
+    """
+    entries = []
 
     def make(source: str, *, name: str = "sppm-strange", target: str = "", entry: str = "strange") -> str:
         NUMBER[0] += 1
@@ -64,6 +68,8 @@ def install(tmp_path, monkeypatch):
         (site / f"{module}.py").write_text(source)
         monkeypatch.syspath_prepend(site)
         importlib.invalidate_caches()
+        entries.append(entry)
+        monkeypatch.setenv("SPPM_PLUGINS", ",".join(entries))
         return module
 
     return make
@@ -386,8 +392,8 @@ def test_what_is_not_allowed_is_not_imported(here, install, words):
 
 
 def test_the_environment_can_hold_the_list(here, install, monkeypatch):
-    monkeypatch.setenv("SPPM_PLUGINS", "")
     module = install(body("pass"))
+    monkeypatch.setenv("SPPM_PLUGINS", "")
     assert main(["check", "strange.yaml"]) == 2
     assert module not in sys.modules
     monkeypatch.setenv("SPPM_PLUGINS", "SPPM.Strange")
