@@ -247,10 +247,11 @@ def plan_of(path: Path):
 def test_hostile_values(name, tmp_path, request):
     """Refused with option, value, what is allowed and line; accepted ones stay within the declared bounds."""
     path = tmp_path / "config.yaml"
-    for option in options_of(stage_class(name)).values():
+    for i, option in enumerate(options_of(stage_class(name)).values()):
         if option.name in HARMLESS:
             continue
-        for value in HOSTILE:
+        # every option meets a third of the values, and each stage and each type of option all of them
+        for value in HOSTILE[i % 3 :: 3]:
             text, line = document(name, option.name, value)
             path.write_text(text, encoding="utf-8")
             refused = None
