@@ -59,6 +59,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.voxels": ([], "path: image.npy", []),
     "read.scan": ([], "path: image.npy", []),
     "field.voxels": (IMAGE, "", []),
+    "measure.statistics": (REPEATED, "resolution: 16", []),
+    "write.statistics": ([*REPEATED, "  - {stage: measure.statistics, resolution: 16}"], "", []),
     "read.volume_mesh": ([], "path: part.vtu", []),
     "grade.formula": ([], "of: porosity, formula: 0.5 + 0*x", []),
     "grade.table": ([], "of: porosity, values: [[0, 0.5], [1, 0.6]]", []),

@@ -124,10 +124,15 @@ def local_thickness(
     squared = squared_distance(phase, periodic)
     if squared.size and squared.max() >= UNREACHED:
         return np.full(phase.shape, min(phase.shape), np.float32)
+    return painted_balls(squared, periodic)
+
+
+def painted_balls(squared: NDArray[np.int32], periodic: tuple[bool, bool, bool]) -> NDArray[np.float32]:
+    """Diameter of the largest ball that covers each voxel, of balls with squared radii at all voxels; 0 for none."""
     centers = np.flatnonzero(_ridge(squared, np.array(periodic[::-1], np.uint8)))
     # the largest balls first, equal ones in the order of their voxels: each voxel is painted once
     order = np.argsort(-squared.reshape(-1)[centers], kind="stable")
-    painted = np.zeros(phase.shape, np.float32)
+    painted = np.zeros(squared.shape, np.float32)
     _paint(squared, centers[order], np.array(periodic[::-1], np.uint8), painted)
     return painted
 

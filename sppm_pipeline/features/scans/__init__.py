@@ -7,6 +7,8 @@ from sppm_pipeline.hookspecs import hookimpl
 STAGES = {
     "read.scan": "ReadScan",
     "field.voxels": "FieldVoxels",
+    "measure.statistics": "MeasureStatistics",
+    "write.statistics": "WriteStatistics",
 }
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 

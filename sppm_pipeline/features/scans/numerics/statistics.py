@@ -1,0 +1,359 @@
+"""Statistics of the two phases of an image: two-point curves, chords, lineal path, Minkowski numbers and fabric.
+
+What can be is counted from the runs of the image along x, y and z: a pair of runs is the source of a trapezoid of pairs
+of points over their distance, so that curves along the axes take no longer than one look at each voxel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics import inline_jit, jit
+
+F64 = NDArray[np.float64]
+
+DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1),
+              (1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1))  # fmt: skip
+"""The thirteen directions from a voxel to its neighbors."""
+
+
+class Lines(NamedTuple):
+    """Curves along an axis over distances 0, 1, 2 ... voxels, and chords.
+
+    Attributes
+    ----------
+    pairs : (m,) float64
+        Two-point probability S2: both ends lie in the phase.
+    cluster : (m,) float64
+        Both ends lie in one connected part of it.
+    path : (m,) float64
+        Lineal path: the whole line lies in it.
+    chords : (n + 1,) float64
+        Number of runs by length, those that a side cuts off left out.
+    """
+
+    pairs: F64
+    cluster: F64
+    path: F64
+    chords: F64
+
+
+def along_axis(labels: NDArray[np.int32], axis: int, distances: int, wraps: bool) -> Lines:
+    """Curves along an axis of a labelled phase (x, y, z), 0 outside of it; `wraps` says whether opposite sides meet."""
+    rows = np.moveaxis(labels, axis, 2)
+    n = rows.shape[2]
+    counts, chords = np.zeros((3, distances + 3)), np.zeros(n + 1)
+    _count_lines(np.ascontiguousarray(rows).reshape(-1, n), distances, wraps, counts, chords)
+    # second differences of trapezoids were noted
+    curves = np.cumsum(np.cumsum(counts, axis=1), axis=1)[:, : distances + 1]
+    places = rows.size / n * (np.full(distances + 1, float(n)) if wraps else n - np.arange(distances + 1.0))
+    pairs, cluster, path = curves / np.maximum(places, 1)
+    return Lines(pairs, cluster, path, chords)
+
+
+@inline_jit
+def _trapezoid(counts: F64, a: int, b: int, c: int, d: int) -> None:
+    """Note the pairs of a point in [a, b) and one in [c, d) by their distance, of which none is negative.
+
+    Their number rises by one for each distance from c - b + 1 on, stays, and falls again.
+    """
+    last = len(counts) - 1
+    for at, sign in ((c - b, 1.0), (c - a, -1.0), (d - b, -1.0), (d - a, 1.0)):
+        # the number at distance r is the sum of max(0, r - at) over these; it shows one later
+        if at + 1 <= last:
+            counts[at + 1] += sign
+
+
+@inline_jit
+def _half(counts: F64, length: int) -> None:
+    """Note the pairs of a point of a run and one that is not before it: length - r of them at the distance r."""
+    counts[0] += length
+    if len(counts) > 1:
+        counts[1] -= length + 1
+    if length + 1 < len(counts):
+        counts[length + 1] += 1.0
+
+
+@jit
+def _count_lines(rows: NDArray[np.int32], distances: int, wraps: bool, counts: F64, chords: F64) -> None:
+    n = rows.shape[1]
+    starts, ends, of = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int32)
+    for row in rows:
+        found = 0
+        for i in range(n):
+            label = row[i]
+            if label != 0:
+                if i == 0 or row[i - 1] != label:
+                    starts[found], of[found] = i, label
+                    found += 1
+                ends[found - 1] = i + 1
+        if found == 0:
+            continue
+        whole = found == 1 and ends[0] - starts[0] == n
+        if whole and wraps:
+            for r in range(3):  # the same at all distances
+                counts[r, 0] += n
+                counts[r, 1] -= n
+            continue
+        joined = wraps and starts[0] == 0 and ends[found - 1] == n and of[0] == of[found - 1]
+        for a in range(found):
+            length = ends[a] - starts[a]
+            if not (joined and a == 0):
+                longer = length + ends[0] if joined and a == found - 1 else length
+                if wraps or (starts[a] > 0 and ends[a] < n):
+                    chords[longer] += 1
+                _half(counts[2], longer)
+            _half(counts[0], length)
+            _half(counts[1], length)
+            for b in range(a + 1, found):
+                if starts[b] - ends[a] >= distances:
+                    break
+                _trapezoid(counts[0], starts[a], ends[a], starts[b], ends[b])
+                if of[a] == of[b]:
+                    _trapezoid(counts[1], starts[a], ends[a], starts[b], ends[b])
+            if wraps:
+                # the runs of the next period, as far as they are not too far away
+                for b in range(found):
+                    if starts[b] + n - ends[a] >= distances:
+                        break
+                    _trapezoid(counts[0], starts[a], ends[a], starts[b] + n, ends[b] + n)
+                    if of[a] == of[b]:
+                        _trapezoid(counts[1], starts[a], ends[a], starts[b] + n, ends[b] + n)
+
+
+def radial_pairs(phase: NDArray[np.bool_], distances: int, wraps: bool) -> tuple[F64, F64]:
+    """S2 in all directions: mean distances of shells at 0, 1, 2 ... voxels, and its mean over each.
+
+    By the Fourier transform, padded where nothing wraps.
+    """
+    from scipy.fft import irfftn, next_fast_len, rfftn
+
+    reach = [distances if n > 1 else 0 for n in phase.shape]
+    shape = phase.shape if wraps else tuple(next_fast_len(n + r, True) for n, r in zip(phase.shape, reach, strict=True))
+    spectrum = rfftn(phase.astype(np.float32), shape)
+    np.multiply(spectrum, spectrum.conj(), out=spectrum)
+    pairs = irfftn(spectrum, shape)
+    del spectrum
+    offsets = [np.r_[0 : r + 1, -r:0] for r in reach]
+    near = pairs[np.ix_(*offsets)]
+    sizes = zip(offsets, phase.shape, strict=True)
+    places = [np.full(len(at), n, float) if wraps else n - np.abs(at) for at, n in sizes]
+    squares = [at.astype(np.float64) ** 2 for at in offsets]
+    length = np.sqrt(squares[0][:, None, None] + squares[1][:, None] + squares[2])
+    probability = near / (places[0][:, None, None] * places[1][:, None] * places[2])
+    # shares of two shells, so that the curve has no steps
+    shell = np.floor(length).astype(np.int64)
+    inside = shell < distances
+    number, share = shell[inside], (length - shell)[inside]
+    sums = np.zeros((3, distances + 1))
+    for add, part in ((0, 1 - share), (1, share)):
+        for row, value in enumerate((1.0, length[inside], probability[inside])):
+            sums[row] += np.bincount(number + add, part * value, distances + 1)
+    return sums[1] / np.maximum(sums[0], 1e-300), sums[2] / np.maximum(sums[0], 1e-300)
+
+
+def configurations(phase: NDArray[np.bool_], wraps: bool) -> NDArray[np.int64]:
+    """How often each pattern of 2 x 2 x 2 voxels occurs, (256,); bit i + 2 j + 4 k is the voxel at (i, j, k).
+
+    Without `wraps`, patterns lie inside of the image.
+    """
+    if wraps:
+        phase = np.pad(phase, ((0, 1),) * 3, mode="wrap")
+    nx, ny, nz = (n - 1 for n in phase.shape)
+    found = np.zeros(256, np.int64)
+    bits = phase.view(np.uint8)
+    for start in range(0, nx, 32):
+        stop = min(start + 32, nx)
+        code = np.zeros((stop - start, ny, nz), np.uint8)
+        for bit in range(8):
+            i, j, k = bit & 1, bit >> 1 & 1, bit >> 2
+            code |= bits[start + i : stop + i, j : j + ny, k : k + nz] << np.uint8(bit)
+        found += np.bincount(code.ravel(), minlength=256)
+    return found
+
+
+class Minkowski(NamedTuple):
+    """Densities per volume of the image.
+
+    Attributes
+    ----------
+    volume : float
+        Share of the phase.
+    surface : float
+        Area by the Cauchy-Crofton formula over thirteen directions.
+    curvature : float
+        Integral of the mean curvature, from the Euler numbers of sections along the axes.
+    euler : float
+        Euler number; parts touch across faces, as everywhere in this program.
+    """
+
+    volume: float
+    surface: float
+    curvature: float
+    euler: float
+
+
+def minkowski(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> Minkowski:
+    """Minkowski numbers from the counts of patterns; Ohser and Mücklich 2000, "Statistical Analysis of Microstructures
+    in Materials Science". Lengths are in the unit of `spacing`.
+    """
+    number = float(counts.sum())
+    cell = math.prod(spacing)
+    codes = np.arange(256)
+    bits = np.array([codes >> b & 1 for b in range(8)], bool)
+    # voxels of a pattern around each half of an edge, and on both sides of each quarter of a face
+    edges = [[b for b in range(8) if b >> axis & 1 == side] for axis in range(3) for side in range(2)]
+    faces = [[b, b | 1 << axis] for axis in range(3) for b in range(8) if not b >> axis & 1]
+
+    def euler(x: NDArray[np.bool_]) -> F64:
+        """Of the union of closed voxels: corners less edges plus faces less voxels, by their share of the pattern."""
+        corner = x.any(0).astype(float)
+        half = sum(x[four].any(0).astype(float) for four in edges)
+        quarter = sum(x[two].any(0).astype(float) for two in faces)
+        return np.asarray(corner - half / 2 + quarter / 4 - x.mean(0))
+
+    # the complement of a body whose parts touch across faces is closed; both have the same Euler number in space
+    chi = euler(~bits)
+    bend = 0.0
+    for axis in range(3):
+        void = ~bits[edges[2 * axis]]  # a section, voxels numbered along the two other axes
+        sides = sum(void[list(two)].any(0).astype(float) for two in ((0, 1), (2, 3), (0, 2), (1, 3)))
+        flat = void.any(0).astype(float) - sides / 2 + void.mean(0)
+        # in a plane the Euler number of the complement has the other sign
+        area = cell / spacing[axis]
+        bend += 2 * math.pi / 3 * float(counts @ -flat) / (number * area)
+    crossings, weights = crossing_rates(counts, spacing), _weights(spacing)
+    return Minkowski(share_of(counts), 2 * float(crossings @ weights), bend, float(counts @ chi) / (number * cell))
+
+
+def crossing_rates(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> F64:
+    """Changes of phase for each length of a line along the thirteen directions, (13,)."""
+    codes, number = np.arange(256), float(counts.sum())
+    rates = []
+    for step in DIRECTIONS:
+        first = [b for b in range(8) if all(0 <= (b >> a & 1) + step[a] <= 1 for a in range(3))]
+        moved = [b + step[0] + 2 * step[1] + 4 * step[2] for b in first]
+        differ = sum(((codes >> a ^ codes >> b) & 1) for a, b in zip(first, moved, strict=True)) / len(first)
+        rates.append(float(counts @ differ) / number / math.dist((0, 0, 0), np.array(step) * spacing))
+    return np.array(rates)
+
+
+def _weights(spacing: tuple[float, float, float]) -> F64:
+    """Share of the sphere that is nearest to each of the thirteen directions, counted on 20000 points."""
+    k = np.arange(20000) + 0.5
+    z, turn = 1 - 2 * k / 20000, np.pi * (1 + 5**0.5) * k
+    points = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], 1)
+    lines = np.array(DIRECTIONS) * spacing
+    lines = lines / np.linalg.norm(lines, axis=1)[:, None]
+    nearest = np.abs(points @ lines.T).argmax(1)
+    return np.asarray(np.bincount(nearest, minlength=13) / 20000.0)
+
+
+def fabric(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> tuple[F64, F64]:
+    """Mean intercept lengths along the axes of the ellipsoid that fits them best, and these axes, longest first.
+
+    The mean length along a direction is twice the share of the phase over the changes of phase (Harrigan and Mann
+    1984); ``1 / length^2 = n H n`` is fitted by least squares over thirteen directions.
+    """
+    rates = crossing_rates(counts, spacing)
+    share = share_of(counts)
+    if not (rates > 0).all() or not share:
+        return np.full(3, np.nan), np.eye(3)
+    n = np.array(DIRECTIONS) * spacing
+    n = n / np.linalg.norm(n, axis=1)[:, None]
+    x, y, z = n.T
+    square = (rates / (2 * share)) ** 2
+    system = np.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y], 1)
+    # relative errors count
+    h = np.linalg.lstsq(system / square[:, None], np.ones(13), rcond=None)[0]
+    values, axes = np.linalg.eigh(np.array([[h[0], h[5], h[4]], [h[5], h[1], h[3]], [h[4], h[3], h[2]]]))
+    return np.where(values > 0, 1 / np.sqrt(np.maximum(values, 1e-300)), np.inf), axes.T
+
+
+def share_of(counts: NDArray[np.int64]) -> float:
+    """Share of the phase in the patterns."""
+    return float(counts @ np.array([c.bit_count() for c in range(256)])) / (8 * float(counts.sum()))
+
+
+def entry_sizes(squared: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The largest ball, as a squared radius, whose center reaches each voxel (z, y, x) from a side of the image.
+
+    What a wetting or invading fluid decides: of all ways from the sides the widest, in its narrowest place. Voxels are
+    taken from the widest place down and joined to their neighbors until they meet the sides.
+    """
+    flat = squared.ravel()
+    order = np.argsort(-flat, kind="stable")
+    order = order[: int(np.count_nonzero(flat))]
+    out = np.zeros(flat.size, np.int32)
+    _flood(order, flat, squared.shape[0], squared.shape[1], squared.shape[2], out)
+    return out.reshape(squared.shape)
+
+
+@inline_jit
+def _root(parent: NDArray[np.int32], at: int) -> int:
+    while parent[at] != at:
+        parent[at] = parent[parent[at]]
+        at = parent[at]
+    return at
+
+
+@jit
+def _flood(
+    order: NDArray[np.int64], squared: NDArray[np.int32], nz: int, ny: int, nx: int, out: NDArray[np.int32]
+) -> None:
+    """Join voxels in order; a part that meets the sides gives its size to all it holds, which are kept in lists."""
+    size = squared.size
+    parent = np.full(size, -1, np.int32)
+    following = np.full(size, -1, np.int32)  # the next voxel of a part that has not met the sides
+    last = np.arange(size).astype(np.int32)
+    open_ = np.zeros(size, np.uint8)
+    for at in order:
+        k, j, i = at // (ny * nx), at // nx % ny, at % nx
+        level = squared[at]
+        parent[at] = at
+        outside = k == 0 or j == 0 or i == 0 or k == nz - 1 or j == ny - 1 or i == nx - 1
+        if outside:
+            open_[at] = 1
+            out[at] = level
+        for side in range(6):
+            z, y, x = k, j, i
+            step = 1 if side % 2 else -1
+            if side < 2:
+                z += step
+            elif side < 4:
+                y += step
+            else:
+                x += step
+            if z < 0 or y < 0 or x < 0 or z >= nz or y >= ny or x >= nx:
+                continue
+            other = (z * ny + y) * nx + x
+            if parent[other] < 0:
+                continue
+            a, b = _root(parent, at), _root(parent, other)
+            if a == b:
+                continue
+            if open_[a] != open_[b]:
+                closed = b if open_[a] else a
+                one = closed
+                while one >= 0:
+                    out[one] = level
+                    one = following[one]
+                if open_[a] == 0:
+                    a, b = b, a
+            elif open_[a] == 0:
+                following[last[a]] = b
+                last[a] = last[b]
+            parent[b] = a
+
+
+def blocks_of(shape: tuple[int, ...], parts: int) -> list[tuple[slice, slice, slice]]:
+    """Equal blocks of an image, `parts` along each axis."""
+    cuts: list[Any] = [np.linspace(0, n, parts + 1).astype(int) for n in shape]
+    return [
+        (slice(cuts[0][i], cuts[0][i + 1]), slice(cuts[1][j], cuts[1][j + 1]), slice(cuts[2][k], cuts[2][k + 1]))
+        for i, j, k in np.ndindex(parts, parts, parts)
+    ]
