@@ -13,6 +13,7 @@ from sppm_pipeline.features.grading.maps import CellFrame as CellFrame
 from sppm_pipeline.features.grading.maps import Grading as Grading
 from sppm_pipeline.features.grading.maps import Law as Law
 from sppm_pipeline.features.grading.maps import Place as Place
+from sppm_pipeline.features.scans.statistics_report import StatisticsReport as StatisticsReport
 from sppm_pipeline.hookspecs import Command as Command
 from sppm_pipeline.hookspecs import Comparison as Comparison
 from sppm_pipeline.hookspecs import Preset as Preset

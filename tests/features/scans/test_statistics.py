@@ -15,7 +15,7 @@ from sppm_pipeline.testing.plain_context import PlainContext
 from tests.features.scans.test_image_field import ball, centers
 
 
-def labelled(phase, wraps):
+def labels_of(phase, wraps):
     found = find_components(phase.T, (wraps,) * 3)
     labels = np.zeros(phase.T.shape, np.int32)
     paint_runs(found.runs.rows, found.runs.bounds, found.of_run + 1, labels)
@@ -44,8 +44,8 @@ def test_curves_along_an_axis_are_what_counting_finds(wraps, axis):
     rng = np.random.default_rng(3)
     phase = rng.random((9, 10, 11)) < 0.6
     phase[:, 3, 4] = phase[2, :, 5] = phase[1, 2] = True
-    labels = labelled(phase, wraps)
-    found = st.along_axis(labels, axis, 5, wraps)
+    labels = labels_of(phase, wraps)
+    found = st.along_axis(labels.T, axis, 5, wraps)
     rows = np.moveaxis(labels, axis, 2).reshape(-1, labels.shape[axis])
     n = rows.shape[1]
     for r in range(6):
@@ -67,7 +67,8 @@ def test_curves_along_an_axis_are_what_counting_finds(wraps, axis):
 @pytest.mark.parametrize("wraps", [False, True])
 def test_radial_pairs_are_what_counting_finds(wraps):
     phase = np.random.default_rng(5).random((8, 9, 10)) < 0.4
-    at, found = st.radial_pairs(phase, 3, wraps)
+    at, found, rest = st.radial_pairs(phase, 3, wraps)
+    assert rest == pytest.approx(st.radial_pairs(~phase, 3, wraps)[1], abs=1e-5)
     assert at[0] == 0
     assert at[2] == pytest.approx(2, abs=0.3)
     total, weight = np.zeros(4), np.zeros(4)

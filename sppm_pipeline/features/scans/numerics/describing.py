@@ -48,7 +48,7 @@ def curves_of(phase: Bools, distances: int, wraps: bool) -> Phase:
     found = find_components(phase.T, (wraps,) * 3)
     labels = np.zeros(phase.T.shape, np.int32)
     paint_runs(found.runs.rows, found.runs.bounds, found.of_run + 1, labels)
-    lines = [st.along_axis(labels.T, axis, min(distances, n - 1), wraps) for axis, n in enumerate(phase.shape)]
+    lines = [st.along_axis(labels, axis, min(distances, n - 1), wraps) for axis, n in enumerate(phase.shape)]
     pairs, cluster, path = (_mean([getattr(line, name) for line in lines]) for name in ("pairs", "cluster", "path"))
     longest = max(len(line.chords) for line in lines)
     chords = sum(np.pad(line.chords, (0, longest - len(line.chords))) for line in lines)
@@ -109,11 +109,11 @@ def balls_of(phase: Bools, wraps: bool, parts: int) -> Balls:
 def _halved(phase: Bools) -> Bools:
     """Blocks of 2 x 2 x 2 voxels as one, of the phase that half or more of it has; an odd last layer is left out."""
     nx, ny, nz = (n // 2 for n in phase.shape)
-    blocks = phase[: 2 * nx, : 2 * ny, : 2 * nz].reshape(nx, 2, ny, 2, nz, 2).astype(np.uint8)
-    count = blocks.sum((1, 3, 5), dtype=np.uint8)
+    voxels = phase[: 2 * nx, : 2 * ny, : 2 * nz].T.view(np.uint8)
+    count = sum(voxels[k::2, j::2, i::2] for i, j, k in np.ndindex(2, 2, 2))
     # half full blocks by turns, so that neither phase gains
-    turn = np.indices(count.shape).sum(0) % 2
-    return np.asarray((count > 4) | ((count == 4) & (turn == 1)))
+    turn = (np.arange(nz)[:, None, None] + np.arange(ny)[:, None] + np.arange(nx)) % 2
+    return np.asarray((count > 4) | ((count == 4) & (turn == 1))).T
 
 
 def entry_of(void: Bools) -> tuple[float, float, float]:
@@ -158,12 +158,13 @@ class Described(NamedTuple):
 def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, distances: int, parts: int) -> Described:
     """Describe an image (x, y, z); with `parts` of 1 there are no error bars."""
     blocks = st.blocks_of(solid.shape, parts) if parts > 1 else []
-    own = [_numbers(solid[block], spacing, False) for block in blocks]
+    parts_of = [_numbers(solid[block], spacing, False) for block in blocks]
     bars = {
-        name: (value, _error([one[name] for one in own])) for name, value in _numbers(solid, spacing, wraps).items()
+        name: (value, _error([one[name] for one in parts_of]))
+        for name, value in _numbers(solid, spacing, wraps).items()
     }
-    phases, radial = {}, {}
-    radial["solid"] = st.radial_pairs(solid, distances, wraps)
+    phases = {}
+    at, own, rest = st.radial_pairs(solid, distances, wraps)
     for name, phase in (("solid", solid), ("void", ~solid)):
         whole = curves_of(phase, distances, wraps)
         near = min(distances, min(solid.shape) // (2 * parts))
@@ -176,10 +177,9 @@ def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, di
             float(np.nanmean(whole.mean_chords)) if np.isfinite(whole.mean_chords).any() else math.nan,
             _error([np.nanmean(p.mean_chords) for p in pieces if np.isfinite(p.mean_chords).any()]),
         )
-    # both ends in the void: neither in the solid
-    at, both = radial["solid"]
-    radial["void"] = (at, 1 - 2 * both[0] + both) if wraps else st.radial_pairs(~solid, distances, wraps)
-    return Described(bars, phases, radial, st.fabric(st.configurations(solid, wraps), spacing))
+    return Described(
+        bars, phases, {"solid": (at, own), "void": (at, rest)}, st.fabric(st.configurations(solid, wraps), spacing)
+    )
 
 
 def _numbers(solid: Bools, spacing: tuple[float, float, float], wraps: bool) -> dict[str, float]:

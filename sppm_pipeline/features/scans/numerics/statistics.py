@@ -43,11 +43,17 @@ class Lines(NamedTuple):
 
 
 def along_axis(labels: NDArray[np.int32], axis: int, distances: int, wraps: bool) -> Lines:
-    """Curves along an axis of a labelled phase (x, y, z), 0 outside of it; `wraps` says whether opposite sides meet."""
-    rows = np.moveaxis(labels, axis, 2)
+    """Curves along an axis of a phase with labels (z, y, x), 0 outside; `wraps` says whether opposite sides meet."""
+    if axis:  # plane by plane, as strides of a whole layer would miss the processor's cache
+        planes = labels if axis == 1 else np.moveaxis(labels, 1, 0)
+        rows = np.empty((len(planes), planes.shape[2], planes.shape[1]), np.int32)
+        for plane, own in zip(planes, rows, strict=True):
+            own[:] = plane.T
+    else:
+        rows = labels
     n = rows.shape[2]
     counts, chords = np.zeros((3, distances + 3)), np.zeros(n + 1)
-    _count_lines(np.ascontiguousarray(rows).reshape(-1, n), distances, wraps, counts, chords)
+    _count_lines(rows.reshape(-1, n), distances, wraps, counts, chords)
     # second differences of trapezoids were noted
     curves = np.cumsum(np.cumsum(counts, axis=1), axis=1)[:, : distances + 1]
     places = rows.size / n * (np.full(distances + 1, float(n)) if wraps else n - np.arange(distances + 1.0))
@@ -125,18 +131,21 @@ def _count_lines(rows: NDArray[np.int32], distances: int, wraps: bool, counts: F
                         _trapezoid(counts[1], starts[a], ends[a], starts[b] + n, ends[b] + n)
 
 
-def radial_pairs(phase: NDArray[np.bool_], distances: int, wraps: bool) -> tuple[F64, F64]:
-    """S2 in all directions: mean distances of shells at 0, 1, 2 ... voxels, and its mean over each.
+def radial_pairs(phase: NDArray[np.bool_], distances: int, wraps: bool) -> tuple[F64, F64, F64]:
+    """S2 in all directions: mean distances of shells at 0, 1, 2 ... voxels, its mean over each, and that of the rest.
 
-    By the Fourier transform, padded where nothing wraps.
+    By the Fourier transform, padded where nothing wraps. Both ends lie in the rest unless one is in the phase.
     """
     from scipy.fft import irfftn, next_fast_len, rfftn
 
     reach = [distances if n > 1 else 0 for n in phase.shape]
     shape = phase.shape if wraps else tuple(next_fast_len(n + r, True) for n, r in zip(phase.shape, reach, strict=True))
-    spectrum = rfftn(phase.astype(np.float32), shape)
+    image = np.zeros(shape, np.float32)
+    image[tuple(slice(n) for n in phase.shape)] = phase
+    spectrum = rfftn(image, overwrite_x=True)
+    del image
     np.multiply(spectrum, spectrum.conj(), out=spectrum)
-    pairs = irfftn(spectrum, shape)
+    pairs = irfftn(spectrum, shape, overwrite_x=True)
     del spectrum
     offsets = [np.r_[0 : r + 1, -r:0] for r in reach]
     near = pairs[np.ix_(*offsets)]
@@ -144,34 +153,54 @@ def radial_pairs(phase: NDArray[np.bool_], distances: int, wraps: bool) -> tuple
     places = [np.full(len(at), n, float) if wraps else n - np.abs(at) for at, n in sizes]
     squares = [at.astype(np.float64) ** 2 for at in offsets]
     length = np.sqrt(squares[0][:, None, None] + squares[1][:, None] + squares[2])
-    probability = near / (places[0][:, None, None] * places[1][:, None] * places[2])
+    count = places[0][:, None, None] * places[1][:, None] * places[2]
+    probability = near / count
     # shares of two shells, so that the curve has no steps
     shell = np.floor(length).astype(np.int64)
     inside = shell < distances
+    ends = _ends(phase, offsets, wraps)
+    rest = 1 + probability - (ends + ends[np.ix_(*(-at % len(at) for at in offsets))]) / count
     number, share = shell[inside], (length - shell)[inside]
-    sums = np.zeros((3, distances + 1))
+    sums = np.zeros((4, distances + 1))
     for add, part in ((0, 1 - share), (1, share)):
-        for row, value in enumerate((1.0, length[inside], probability[inside])):
+        for row, value in enumerate((1.0, length[inside], probability[inside], rest[inside])):
             sums[row] += np.bincount(number + add, part * value, distances + 1)
-    return sums[1] / np.maximum(sums[0], 1e-300), sums[2] / np.maximum(sums[0], 1e-300)
+    _, at, own, other = sums / np.maximum(sums[0], 1e-300)
+    return at, own, other
+
+
+def _ends(phase: NDArray[np.bool_], offsets: list[NDArray[np.int64]], wraps: bool) -> F64:
+    """Voxels of the phase from which a step by each offset ends in the image."""
+    if wraps:
+        return np.full([len(at) for at in offsets], float(np.count_nonzero(phase)))
+    sums = np.pad(phase.astype(np.int32), ((1, 0),) * 3)
+    for axis in range(3):
+        np.cumsum(sums, axis, out=sums)
+    low, high = [np.maximum(0, -at) for at in offsets], [n - np.maximum(0, at) for at, n in
+                                                        zip(offsets, phase.shape, strict=True)]  # fmt: skip
+    found = np.zeros([len(at) for at in offsets])
+    for i, j, k in np.ndindex(2, 2, 2):
+        sign = 1 if (i + j + k) % 2 else -1
+        found += sign * sums[np.ix_((low, high)[i][0], (low, high)[j][1], (low, high)[k][2])]
+    return found
 
 
 def configurations(phase: NDArray[np.bool_], wraps: bool) -> NDArray[np.int64]:
     """How often each pattern of 2 x 2 x 2 voxels occurs, (256,); bit i + 2 j + 4 k is the voxel at (i, j, k).
 
-    Without `wraps`, patterns lie inside of the image.
+    Without `wraps`, patterns lie inside of the image (x, y, z), of which x is contiguous at best.
     """
     if wraps:
-        phase = np.pad(phase, ((0, 1),) * 3, mode="wrap")
+        phase = np.asfortranarray(np.pad(phase, ((0, 1),) * 3, mode="wrap"))
     nx, ny, nz = (n - 1 for n in phase.shape)
     found = np.zeros(256, np.int64)
-    bits = phase.view(np.uint8)
-    for start in range(0, nx, 32):
-        stop = min(start + 32, nx)
-        code = np.zeros((stop - start, ny, nz), np.uint8)
+    bits = phase.T.view(np.uint8)
+    for start in range(0, nz, 16):
+        stop = min(start + 16, nz)
+        code = np.zeros((stop - start, ny, nx), np.uint8)
         for bit in range(8):
             i, j, k = bit & 1, bit >> 1 & 1, bit >> 2
-            code |= bits[start + i : stop + i, j : j + ny, k : k + nz] << np.uint8(bit)
+            code |= bits[start + k : stop + k, j : j + ny, i : i + nx] << np.uint8(bit)
         found += np.bincount(code.ravel(), minlength=256)
     return found
 
