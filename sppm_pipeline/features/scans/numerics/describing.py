@@ -158,13 +158,12 @@ class Described(NamedTuple):
 def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, distances: int, parts: int) -> Described:
     """Describe an image (x, y, z); with `parts` of 1 there are no error bars."""
     blocks = st.blocks_of(solid.shape, parts) if parts > 1 else []
-    parts_of = [_numbers(solid[block], spacing, False) for block in blocks]
+    own = [_numbers(solid[block], spacing, False) for block in blocks]
     bars = {
-        name: (value, _error([one[name] for one in parts_of]))
-        for name, value in _numbers(solid, spacing, wraps).items()
+        name: (value, _error([one[name] for one in own])) for name, value in _numbers(solid, spacing, wraps).items()
     }
     phases = {}
-    at, own, rest = st.radial_pairs(solid, distances, wraps)
+    at, both, rest = st.radial_pairs(solid, distances, wraps)
     for name, phase in (("solid", solid), ("void", ~solid)):
         whole = curves_of(phase, distances, wraps)
         near = min(distances, min(solid.shape) // (2 * parts))
@@ -178,7 +177,7 @@ def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, di
             _error([np.nanmean(p.mean_chords) for p in pieces if np.isfinite(p.mean_chords).any()]),
         )
     return Described(
-        bars, phases, {"solid": (at, own), "void": (at, rest)}, st.fabric(st.configurations(solid, wraps), spacing)
+        bars, phases, {"solid": (at, both), "void": (at, rest)}, st.fabric(st.configurations(solid, wraps), spacing)
     )
 
 
