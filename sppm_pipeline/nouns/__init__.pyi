@@ -38,6 +38,7 @@ from sppm_pipeline.method.nouns.mesh import RepeatedMesh as RepeatedMesh
 from sppm_pipeline.method.nouns.printer import Motion as Motion
 from sppm_pipeline.method.nouns.printer import Printer as Printer
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport as StiffnessReport
+from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign as StiffnessDesign
 from sppm_pipeline.method.part.border import Border as Border
 from sppm_pipeline.method.sampling.many import Surrounding as Surrounding
 from sppm_pipeline.method.slicing.slice_stack import Slab as Slab

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.hookspecs import Preset, hookimpl
 
 STAGES = {
     "design.sizes": "DesignSizes",
+    "design.stiffness": "DesignStiffness",
 }
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
@@ -14,3 +15,19 @@ STAGES = {
 def sppm_stages() -> dict[str, str]:
     """The stages of this feature."""
     return {name: f"{__name__}.stages.{name.replace('.', '_')}:{cls}" for name, cls in STAGES.items()}
+
+
+@hookimpl
+def sppm_presets() -> dict[str, Preset]:
+    """The preset whose stiffness is dialed."""
+    return {
+        "dialed": Preset(
+            "softer or stiffer at one porosity: walls between thrown pores that turn into the paper's struts",
+            [
+                {"stage": "sample.dart_throwing", "edge": "${edge}", "total": "${total}", "spacing": "${spacing}"},
+                {"stage": "connect.mbdst", "degree": "${degree}", "mode": "greedy"},
+                {"stage": "field.walls", "struts": "${struts}", "tunnel_radius": "${tunnel_radius}"},
+            ],
+            {"total": 60, "edge": None, "spacing": 0.05, "degree": [3, 5], "struts": 0.4, "tunnel_radius": 0.06},
+        ),
+    }

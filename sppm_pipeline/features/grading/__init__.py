@@ -19,6 +19,7 @@ STAGES = {
     "tile.graded": "GradedTiling",
     "tile.joined": "JoinedTiling",
     "tile.hexahedra": "HexahedralTiling",
+    "warp.affine": "WarpAffine",
     "warp.cylinder": "WarpCylinder",
     "warp.sphere": "WarpSphere",
     "warp.hexahedra": "WarpHexahedra",

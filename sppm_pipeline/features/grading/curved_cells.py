@@ -278,6 +278,36 @@ class SphereCells(BentBox):
 
 
 @dataclass(frozen=True, eq=False)
+class AffineCells(BentBox):
+    """A box that is stretched and turned about its middle; where it repeats, its images fill a region."""
+
+    matrix: NDArray[np.float64]  # (3, 3), of vectors
+    middle: NDArray[np.float64]  # (3,) mm, where the middle of the box comes to lie
+    region: NDArray[np.float64] | None = None  # low and high corner, (2, 3) mm; None for the box alone
+
+    def __post_init__(self) -> None:
+        for name in ("matrix", "middle"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), np.float64)))
+
+    def mapped(self, places: NDArray[np.float64]) -> Mapped:
+        moved = self.edge * (places - np.array(self.shape) / 2) @ self.matrix.T
+        return Mapped(self.middle + moved, np.full(len(places), np.linalg.det(self.matrix)))
+
+    def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        back: NDArray[np.float64] = (points - self.middle) @ np.linalg.inv(self.matrix).T
+        return back / self.edge + np.array(self.shape) / 2
+
+    @cached_property
+    def box(self) -> NDArray[np.float64]:
+        found: NDArray[np.float64] = super().box if self.region is None else frozen(self.region)
+        return found
+
+    def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        cell, place = super().continued(points)
+        return (cell if self.region is None else np.zeros_like(cell)), place
+
+
+@dataclass(frozen=True, eq=False)
 class HexahedralCells(CurvedCells):
     """Trilinear hexahedra, or parts into which they were cut."""
 

@@ -74,15 +74,14 @@ class Warper(Stage):
             )
         if isinstance(field, Tiling) and field.additive and not field.tileset.micro.stretched:
             return self._with_graph(context, field, wraps)
-        return self._with_field(context, field)
+        return self._with_field(context, field, self.curved(field))
 
-    def _with_field(self, context: Context, field: ScalarField) -> WarpedField:
+    def _with_field(self, context: Context, field: ScalarField, curved: CurvedCells) -> WarpedField:
         if self.sizes == "fixed":
             raise ConfigError(
                 f"a {type(field).__name__} is bent as it is, and has no sizes that could stay", hint="leave out `sizes`"
             )
         resolution = self.resolution or (FINE_SAMPLES if cells_sampled(field) == 1 else SAMPLES)
-        curved = self.curved(field)
         made = warped_field(field, curved, resolution)
         of_cell = curved.volumes / field.physical_edge() ** 3
         context.report(volume_min=float(of_cell.min()), volume_max=float(of_cell.max()))

@@ -128,7 +128,7 @@ def grids_below(resolution: int, grids: int) -> list[int]:
     return counts
 
 
-class _Quiet:
+class Quiet:
     """A context whose warnings go nowhere."""
 
     def __init__(self, context: Context) -> None:
@@ -174,7 +174,7 @@ def refined(
     reports = []
     for number, (count, given) in enumerate(zip(counts, sources, strict=True)):
         # only the finest grid is the result: the others may be coarse
-        reports.append(solve(context if count == counts[-1] else cast(Context, _Quiet(context)), count, given))
+        reports.append(solve(context if count == counts[-1] else cast(Context, Quiet(context)), count, given))
         context.progress(number + 1, len(counts), "grids")
     limit = richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
     return counts, reports, limit

@@ -68,7 +68,7 @@ def _add_fractions(samples: F32, k: Any, shift: float, out: F32) -> None:
 def solid_fractions(
     sample_layers: Callable[[Grid, int, int], F32],
     shape: tuple[int, int, int],
-    resolution: int,
+    resolution: float | tuple[float, float, float],
     parts: int = 2,
     *,
     shift: float = 0.0,
@@ -86,17 +86,18 @@ def solid_fractions(
         Values of the field at the layers start <= k < stop of a grid, (stop - start, ny, nx).
     shape : (nx, ny, nz)
         Voxels.
-    resolution : int
-        Voxels along a unit of the field's coordinates.
+    resolution : float or 3 floats
+        Voxels along a unit of the field's coordinates; along x, y and z.
     parts : int
         Along a voxel edge.
     shift : float
         By how many voxels the walls are moved into the solid, everywhere the same.
     """
     nx, ny, nz = shape
-    h = 1.0 / (resolution * parts)
+    per_unit = resolution if isinstance(resolution, tuple) else (resolution,) * 3
+    hx, hy, hz = (1.0 / (n * parts) for n in per_unit)
     # one part more on each side for the slopes
-    grid = Grid((-h / 2,) * 3, (h,) * 3, (nx * parts + 2, ny * parts + 2, nz * parts + 2))
+    grid = Grid((-hx / 2, -hy / 2, -hz / 2), (hx, hy, hz), (nx * parts + 2, ny * parts + 2, nz * parts + 2))
     out = np.zeros((nz, ny, nx), np.float32)
     for start in range(0, nz, _LAYERS):
         stop = min(nz, start + _LAYERS)

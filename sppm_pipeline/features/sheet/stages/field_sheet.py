@@ -88,7 +88,7 @@ class SheetStage(Stage):
         minimum=0.05, maximum=0.5,
     )  # fmt: skip
     stretch: tuple[float, float] = option(
-        (1.0, 1.0), help="how many times longer the networks are along y and along z than along x; of one cell, as "
+        (1.0, 1.0), help="how many times longer; the networks along y and along z than along x, of one cell, as "
         "scattered pores follow maps", minimum=0.25, maximum=4,
     )  # fmt: skip
     turn: tuple[float, float, float] = options.turn((0.0, 0.0, 0.0), note="by which its axes are turned")

@@ -324,6 +324,10 @@ class HomogenizeVoxel(ElasticHomogenizer):
     filling_expansion: float | None = option(
         None, help="coefficient of thermal expansion of what fills the void", unit="1/K", minimum=-1, maximum=1
     )
+    stretch: tuple[float, float, float] | None = option(
+        None, help="how many times longer; a field, along x, y and z, before it is solved", minimum=0.05,
+        maximum=20,
+    )  # fmt: skip
 
     def check_options(self) -> None:
         """As many expansions as materials, or none."""
@@ -341,6 +345,26 @@ class HomogenizeVoxel(ElasticHomogenizer):
                 hint="give it with `expansion` and `filling_young`, and only then",
             )
 
+    def sampled(self, field: ScalarField, threads: int) -> VoxelCell:
+        """As many voxels of a stretched cell as of the plain one, nearly cubes in the stretched one."""
+        if self.stretch is None:
+            return super().sampled(field, threads)
+        from sppm_pipeline.method.porosity.fractions import solid_fractions
+        from sppm_pipeline.services.grid import Grid
+
+        scale = float(np.prod(self.stretch)) ** (1 / 3)
+        per_cell = [max(2, round(self.resolution * s / scale)) for s in self.stretch]
+        nx, ny, nz = (n * cells for n, cells in zip(per_cell, field.cells, strict=True))
+        ex, ey, ez = (s / scale * self.resolution / n for n, s in zip(per_cell, self.stretch, strict=True))
+        kx, ky, kz = (float(n) for n in per_cell)
+        if self.fractions == "binary":
+            grid = Grid((0.5 / kx, 0.5 / ky, 0.5 / kz), (1 / kx, 1 / ky, 1 / kz), (nx, ny, nz))
+            return VoxelCell(field.solid(grid, threads), None, (ex, ey, ez))
+        fraction = solid_fractions(
+            lambda grid, start, stop: field.sample_zyx(grid, start, stop, threads), (nx, ny, nz), (kx, ky, kz)
+        )
+        return VoxelCell(None, fraction.T, (ex, ey, ez))
+
     def _expansions(self) -> tuple[float, ...]:
         """Of the void and of each phase; the void, if it has a stiffness of its own accord, expands as phase 1 does."""
         given = per_phase(self.expansion)
@@ -349,6 +373,8 @@ class HomogenizeVoxel(ElasticHomogenizer):
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize."""
         self.check_image(context, source)
+        if self.stretch is not None and not isinstance(source, ScalarField):
+            raise ConfigError("an image is not stretched", hint="leave out `stretch`, or state its `spacing`")
         expansions = self._expansions()
         if isinstance(source, ScalarField) or (self.grids or 1) == 1 or _has_fractions(source):
             return self.stiffness_of(context, source, expansions)
