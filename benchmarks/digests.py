@@ -222,6 +222,12 @@ CONFIGS: Mapping[str, Small] = {
 
 EXAMPLES: Mapping[str, Small] = {
     "blend": _small("", f"sponge.resolution=12; {_VIEW}", plugins=True),
+    "bracket": _small(
+        "cell=8 mm",
+        """optimize.density.updates=3; optimize.density.trials=1; optimize.density.law_resolution=16;
+        tile.scattered.resolution=16; tile.scattered.rounds=0; tested.resolution=8; slice.field.layer=0.1 mm;
+        tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
+    ),
     "crush": _small("", "tune.porosity.resolution=24; crush.voxel.resolution=10; crush.voxel.rate=0.05"),
     "elbow": _small("", f"tune.local_porosity.resolution=20; {_VIEW}"),
     "finer_pores": _small("", f"tile.scattered.resolution=10; {_VIEW}"),
@@ -468,7 +474,7 @@ def _bytes(path: Path) -> Iterator[bytes]:
 
 DECODERS: Mapping[str, Callable[[Path], Iterator[bytes]]] = {
     ".json": _json, ".csv": _csv, ".md": _text, ".graphml": _text, ".inp": _text, ".png": _png, ".stl": _mesh,
-    ".ply": _mesh, ".vti": _vtk, ".vtu": _vtk, ".goo": _bytes,
+    ".ply": _mesh, ".vti": _vtk, ".vtu": _vtk, ".goo": _bytes, ".sl1": _bytes,
 }  # fmt: skip
 """Readers of the content of a file, by its extension."""
 

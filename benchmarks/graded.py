@@ -26,12 +26,12 @@ from scipy.ndimage import label
 from benchmarks.measure import pipeline_command, run, table
 from benchmarks.recount import laid_kernels, recounted_porosity
 from sppm_pipeline.features.grading.laws import TableLaw
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
 from sppm_pipeline.features.grading.stages.tile_graded import GradedTiling
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity
 from sppm_pipeline.method.connectivity.islands import keep_largest
 from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
 from sppm_pipeline.method.stages.field_gaussian import GaussianField

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 import sppm_pipeline as sppm
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
-from sppm_pipeline.features.stiffness.numerics.refinement import stiff_share
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
+from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.elastic.isotropy import nearest_isotropic
 from sppm_pipeline.services.elastic.voigt import lame
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -24,8 +24,10 @@ from sppm_pipeline.engine.api.stages import grade as grade
 from sppm_pipeline.engine.api.stages import homogenize as homogenize
 from sppm_pipeline.engine.api.stages import measure as measure
 from sppm_pipeline.engine.api.stages import mesh as mesh
+from sppm_pipeline.engine.api.stages import optimize as optimize
 from sppm_pipeline.engine.api.stages import read as read
 from sppm_pipeline.engine.api.stages import sample as sample
+from sppm_pipeline.engine.api.stages import simulate as simulate
 from sppm_pipeline.engine.api.stages import slice as slice
 from sppm_pipeline.engine.api.stages import step as step
 from sppm_pipeline.engine.api.stages import tile as tile

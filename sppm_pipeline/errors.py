@@ -14,7 +14,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 
@@ -132,3 +132,12 @@ class NativeCrash(SppmError):
     """A native library died by a signal."""
 
     exit_code = 6
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Hint that names the most similar known name."""
+    from difflib import get_close_matches
+
+    known = sorted(known)
+    close = [name for name in known if name.lower() == word.lower()] or get_close_matches(word, known, 1)
+    return f"did you mean {close[0]!r}?" if close else "known are " + ", ".join(known)

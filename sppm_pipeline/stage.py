@@ -24,6 +24,8 @@ from sppm_pipeline.nouns.size import Size
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
+    "load": "a part is held and loaded",
+    "optimize": "a map is found that suits the loads of a part",
     "grade": "a parameter is made a function of place",
     "sample": "pores are thrown",
     "connect": "pores are joined by tunnels",
@@ -38,6 +40,7 @@ FAMILIES: Mapping[str, str] = {
     "extract": "a field becomes a triangle mesh or an image of voxels",
     "mesh": "a mesh becomes a better one, or a field or mesh becomes one of tetrahedra",
     "homogenize": "effective properties are computed",
+    "simulate": "a part is loaded, and deforms",
     "measure": "numbers are read off a curve",
     "crush": "a block is compressed",
     "check": "something is measured, and may be rejected",

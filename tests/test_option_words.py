@@ -31,6 +31,8 @@ SENTENCES = {
     "of": "says whose property the stage makes: that of a phase, or a parameter of the design",
     "faces": "says what the stage does with the faces that cells share: what lies on them, or what they are held at",
     "values": "what stands in an image, or in a table",
+    "density": "a share of solid, or the bounds of what a structure may have",
+    "mass": "of a specimen that was tested, or the target of a part",
     "yield_stress": "a number where one linear solution is scaled, a table where the solid is followed beyond it",
 }
 """Names that have several units or sentences, and why."""

@@ -9,10 +9,7 @@ from sppm_pipeline.features.flow.acoustics import AcousticReport as AcousticRepo
 from sppm_pipeline.features.flow.conductivity import ConductivityReport as ConductivityReport
 from sppm_pipeline.features.flow.numerics.acoustics import PoreParameters as PoreParameters
 from sppm_pipeline.features.flow.permeability import PermeabilityReport as PermeabilityReport
-from sppm_pipeline.features.grading.maps import CellFrame as CellFrame
-from sppm_pipeline.features.grading.maps import Grading as Grading
-from sppm_pipeline.features.grading.maps import Law as Law
-from sppm_pipeline.features.grading.maps import Place as Place
+from sppm_pipeline.features.parts.part_result import PartResult as PartResult
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport as StatisticsReport
 from sppm_pipeline.hookspecs import Command as Command
 from sppm_pipeline.hookspecs import Comparison as Comparison
@@ -34,6 +31,12 @@ from sppm_pipeline.method.fields.formula import PlacedField as PlacedField
 from sppm_pipeline.method.fields.microstructure import PeriodicTile as PeriodicTile
 from sppm_pipeline.method.fields.scalar_field import WrappedField as WrappedField
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes as CellSizes
+from sppm_pipeline.method.nouns.conditions import LoadCase as LoadCase
+from sppm_pipeline.method.nouns.conditions import LoadCases as LoadCases
+from sppm_pipeline.method.nouns.maps import CellFrame as CellFrame
+from sppm_pipeline.method.nouns.maps import Grading as Grading
+from sppm_pipeline.method.nouns.maps import Law as Law
+from sppm_pipeline.method.nouns.maps import Place as Place
 from sppm_pipeline.method.nouns.mesh import RepeatedMesh as RepeatedMesh
 from sppm_pipeline.method.nouns.printer import Motion as Motion
 from sppm_pipeline.method.nouns.printer import Printer as Printer

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.normal_scores import ScoreTable, blended, scores_of
 from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.services.grid import Grid
 
 NODES = 8

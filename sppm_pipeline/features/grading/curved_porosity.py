@@ -13,7 +13,6 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.bricks import cubic_in_layers, linear_in_layers
 from sppm_pipeline.features.grading.numerics.cell_level import (
     CellSamples,
@@ -28,6 +27,7 @@ from sppm_pipeline.features.grading.warped_field import WarpedField
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
 from sppm_pipeline.features.grading.map_sizes import ACROSS, DIRECTION, graded_radii, metric_at
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import (
     corrected,
     curve_of,
@@ -32,6 +31,7 @@ from sppm_pipeline.method.families.tiler import (
 )
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.sampling.graded_blocks import NODES, density_means
 from sppm_pipeline.nouns.palette import Blocks, StretchedBlocks

@@ -9,11 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.features.grading.laws import DataLaw
-from sppm_pipeline.features.grading.maps import QUANTITIES, RESERVED, Grading, Law
+from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS
+from sppm_pipeline.method.nouns.maps import (
+    BOX_COORDINATES,
+    CELL_COORDINATES,
+    COORDINATES,
+    DISTANCE,
+    QUANTITIES,
+    DataLaw,
+    Grading,
+    Law,
+)
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.stage import Context, Stage, option
+
+RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE, *FUNCTIONS, *CONSTANTS, *WORDS})
+"""Words that have a meaning in formulas."""
 
 
 @dataclass(frozen=True, kw_only=True)

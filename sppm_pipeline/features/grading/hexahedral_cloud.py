@@ -13,7 +13,6 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_targets
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling, cloud, laid_graph
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curved_darts import GrowingCloud
 from sppm_pipeline.features.grading.numerics.hexahedral_determinant import largest_determinants
 from sppm_pipeline.features.grading.rounds import (
@@ -27,6 +26,7 @@ from sppm_pipeline.features.grading.rounds import (
 from sppm_pipeline.method.families.scattered import FilledBlocks
 from sppm_pipeline.method.families.tiler import HALO, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.stage import Context, Recipe
 

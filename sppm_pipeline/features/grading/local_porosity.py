@@ -10,11 +10,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.local_level import RUN, CellCodes, Sampled, runs_along_x, void_and_slope
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.services.threads import ordered_map

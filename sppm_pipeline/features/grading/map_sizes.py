@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.services.metric import PLAIN, stretched_metric
 

@@ -111,7 +111,7 @@ class Transfer(Protocol):
 
 
 def coarser(
-    shape: tuple[int, int, int], edges: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    shape: tuple[int, int, int], edges: tuple[float, float, float] = (1.0, 1.0, 1.0), *, open_ends: bool = False
 ) -> tuple[int, int, int] | None:
     """Voxels of the next grid; None if `shape` is the coarsest.
 
@@ -123,9 +123,17 @@ def coarser(
     shape : (nz, ny, nx)
     edges : (hx, hy, hz)
         Of a voxel.
+    open_ends : bool
+        The last voxels are void, and stay by themselves; see `transfer`.
     """
     if max(shape) <= COARSEST:
         return None
+    if open_ends:
+        shortest = min(h for h, n in zip(edges[::-1], shape, strict=True) if n > COARSEST)
+        z, y, x = (
+            n // 2 + 1 if n > COARSEST and h <= _CUBE * shortest else n for h, n in zip(edges[::-1], shape, strict=True)
+        )
+        return z, y, x
     shortest = min(h for h, n in zip(edges[::-1], shape, strict=True) if n > 1)
     z, y, x = (-(-n // 2) if h <= _CUBE * shortest else n for h, n in zip(edges[::-1], shape, strict=True))
     return z, y, x
@@ -164,7 +172,7 @@ class Workspace:
         longest = max(level.shape[2] for level in levels)
         components = levels[0].components
         self.rows = np.zeros(scratch_rows * STRIDE, dtype)
-        self.line = np.zeros(longest + 2, dtype)
+        self.line = np.zeros(longest + 3, dtype)
         # rows of the plane have the distance of rows of scratch, too
         self.plane = np.zeros(components * max(lv.shape[1] * -(-lv.shape[2] // BLOCK) for lv in levels) * STRIDE, dtype)
         layer = components * levels[0].shape[1] * levels[0].shape[2] if planar else 0
@@ -344,4 +352,5 @@ def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
         level.apply(APPLY, unit, unit, column, work)
         unit[i] = 0
         matrix[:, i] = column
+    matrix[:, ~matrix.any(axis=1)] = 0  # what is held answers no force
     return np.asarray(np.linalg.pinv((matrix + matrix.T) / 2, rcond=_SINGULAR, hermitian=True), np.float64)

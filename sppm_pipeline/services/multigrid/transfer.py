@@ -4,6 +4,9 @@ A coarse axis has ``ceil(n / 2)`` voxels. Where n is even, its nodes are the eve
 odd, the fine axis, a ring, is taken from its second node on, and the voxel that is left over, the first, becomes the
 last coarse one by itself: with the first voxel whole, no coarse voxel is ever shorter than half of the others. Nodes
 between two coarse ones take their mean. An axis may keep its voxels, too, as the long one of elongated voxels does.
+
+A grid may have open ends instead: its last voxels along each axis are void, and stay by themselves. A coarse axis then
+has ``floor(n / 2) + 1`` voxels, the last of them void, so that a body never meets its own other end.
 """
 
 from __future__ import annotations
@@ -18,13 +21,21 @@ from sppm_pipeline.services.jit.compiled import inline_jit, jit
 _0, _1 = np.uint64(0), np.uint64(1)
 
 
-def coarsened(fine: NDArray[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+def coarsened(fine: NDArray[Any], shape: tuple[int, ...] | None = None, *, open_ends: bool = False) -> NDArray[Any]:
     """Mean of the (up to) eight children of each coarse voxel, for any number of axes.
 
-    Axes on which the coarse `shape` has as many voxels as the fine one stay as they are.
+    Axes on which the coarse `shape` has as many voxels as the fine one stay as they are. With `open_ends` the last
+    voxels are void whatever they hold.
     """
     for axis, n in enumerate(fine.shape):
         if shape is not None and shape[axis] == n:
+            continue
+        if open_ends:
+            body = np.moveaxis(fine, axis, 0)[: n - 1]
+            mean = np.zeros((n // 2 + 1, *body.shape[1:]), fine.dtype)
+            mean[: n // 2] = body[0::2]
+            mean[: (n - 1) // 2] += body[1::2]
+            fine = np.moveaxis(mean * mean.dtype.type(0.5), 0, axis)
             continue
         ring = np.moveaxis(np.roll(fine, -1, axis) if n % 2 and n > 1 else fine, axis, 0)
         mean = ring[0::2].copy()
@@ -54,11 +65,11 @@ def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 @inline_jit
-def _parents(i: Any, n: Any, m: Any) -> tuple[Any, Any]:
+def _parents(i: Any, n: Any, m: Any, ring: Any) -> tuple[Any, Any]:
     """The coarse nodes on both sides of a node; twice the same one if it is one of them."""
     if m == n:
         return i, i
-    i = (i + n - (n & _1)) % n
+    i = (i + n - (n & ring)) % n
     return i >> _1, ((i + _1) >> _1) % m
 
 
@@ -70,11 +81,18 @@ def _mean_of_rows(coarse: NDArray[Any], a: Any, b: Any, c: Any, d: Any, s: NDArr
 
 
 @inline_jit
-def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any) -> None:
+def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any, ring: Any) -> None:
     half = s.dtype.type(0.5)
     if n == coarse:
         for i in range(n):
             out[at + i] += s[i]
+        return
+    if ring == _0:
+        for i in range(n >> _1):
+            out[at + i + i] += s[i]
+            out[at + i + i + _1] += half * (s[i] + s[i + _1])
+        if n & _1:
+            out[at + n - _1] += s[coarse - _1]
         return
     if n & _1 == _0:
         s[coarse] = s[_0]
@@ -106,15 +124,15 @@ def interpolate_plane(
         Receives the plane from `at` on, components `comp` apart.
     """
     nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
-    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
+    mx, my, mz, ring = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5]), np.uint64(shapes[6])
     # twice the same coarse row where there is nothing to interpolate
-    z0, z1 = _parents(z, nz, mz)
+    z0, z1 = _parents(z, nz, mz, ring)
     for c in range(np.uint64(len(coarse)) // (mx * my * mz)):
         low, high = (c * mz + z0) * my, (c * mz + z1) * my
         for line in range(ny):
-            y0, y1 = _parents(line, ny, my)
+            y0, y1 = _parents(line, ny, my, ring)
             _mean_of_rows(coarse, (low + y0) * mx, (low + y1) * mx, (high + y0) * mx, (high + y1) * mx, s, mx)
-            _interpolate_row(s, out, at + c * comp + line * nx, nx, mx)
+            _interpolate_row(s, out, at + c * comp + line * nx, nx, mx, ring)
 
 
 @jit
@@ -124,8 +142,8 @@ def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.
     Parameters
     ----------
     coarse, out : flat, of (components, nz, ny, nx)
-    shapes : (6,) int64
-        nx, ny, nz of the fine and of the coarse grid.
+    shapes : (7,) int64
+        nx, ny, nz of the fine and of the coarse grid; 1 if they are rings, 0 if their ends are open.
     s : (> nx of the coarse grid,)
         Scratch.
     """
@@ -137,10 +155,9 @@ def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.
 
 @inline_jit
 def _ring_of_rows(
-    fine: NDArray[Any], low: Any, middle: Any, high: Any, before: Any, after: Any, s: NDArray[Any], n: Any
+    fine: NDArray[Any], low: Any, middle: Any, high: Any, before: Any, after: Any, s: NDArray[Any], n: Any, odd: Any
 ) -> None:
-    """The sum of three rows, the outer ones weighted, as a ring, in ``s[1:]``."""
-    odd = n & _1
+    """The sum of three rows, the outer ones weighted, as a ring, in ``s[1:]``; `odd` if the first node comes last."""
     for i in range(n - odd):
         k = odd + i
         s[i + _1] = fine[middle + k] + (before * fine[low + k] + after * fine[high + k])
@@ -149,10 +166,9 @@ def _ring_of_rows(
 
 
 @inline_jit
-def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, n: Any, coarse: Any) -> None:
+def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, n: Any, coarse: Any, odd: Any) -> None:
     half = s.dtype.type(0.5)
-    if n == coarse:
-        odd = n & _1  # which `_ring_of_rows` has shifted
+    if n == coarse:  # in the order that `_ring_of_rows` has changed
         for i in range(n):
             out[at + i] += factor * s[(i + n - odd) % n + _1]
         return
@@ -177,35 +193,40 @@ def restrict_plane(
     out : flat, of (components, nz, ny, nx)
     """
     nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
-    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
+    mx, my, mz, ring = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5]), np.uint64(shapes[6])
     zero, half, one = s.dtype.type(0), s.dtype.type(0.5), s.dtype.type(1)
-    odd = ny & _1
-    z0, z1 = _parents(z, nz, mz)
+    odd, odd_x = ny & ring, nx & ring
+    closed = ring != _0 and odd == _0
+    z0, z1 = _parents(z, nz, mz, ring)
     for c in range(np.uint64(len(out)) // (mx * my * mz)):
         rows = at + c * comp
         for y in range(my):
             # the line before, the line itself, the line after, unless the ring is open there
             low, middle, high = (y + y + ny - _1 + odd) % ny, (y + y + odd) % ny, (y + y + _1 + odd) % ny
-            before = zero if odd != _0 and y == _0 else half
-            after = zero if odd != _0 and y + _1 == my else half
+            before = zero if not closed and y == _0 else half
+            after = zero if not closed and y + _1 == my else half
             if my == ny:
                 low = middle = high = np.uint64(y)
                 before = after = zero
-            _ring_of_rows(fine, rows + low * nx, rows + middle * nx, rows + high * nx, before, after, s, nx)
+            elif ring == _0 and y + y == ny:
+                middle = low  # half of the last line, beyond which this node lies
+                before = -half
+            _ring_of_rows(fine, rows + low * nx, rows + middle * nx, rows + high * nx, before, after, s, nx, odd_x)
             # an even number of nodes closes the ring between its last node and the first
-            s[_0] = s[nx] if nx & _1 == _0 else zero
+            s[_0] = s[nx] if ring != _0 and odd_x == _0 else zero
             s[nx + _1] = zero
+            s[nx + _1 + _1] = zero
             to = ((c * mz + z0) * my + y) * mx
             if z0 == z1:
-                _restrict_row(s, out, to, one, nx, mx)
+                _restrict_row(s, out, to, one, nx, mx, odd_x)
             else:
-                _restrict_row(s, out, to, half, nx, mx)
-                _restrict_row(s, out, ((c * mz + z1) * my + y) * mx, half, nx, mx)
+                _restrict_row(s, out, to, half, nx, mx, odd_x)
+                _restrict_row(s, out, ((c * mz + z1) * my + y) * mx, half, nx, mx, odd_x)
 
 
 @jit
 def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
-    """The transpose of the interpolation; arguments as `interpolate_add`, `s` longer than nx + 1 of the fine grid."""
+    """The transpose of the interpolation; arguments as `interpolate_add`, `s` longer than nx + 2 of the fine grid."""
     layer = np.uint64(shapes[0]) * np.uint64(shapes[1])
     planes = np.uint64(shapes[2])
     out[:] = 0
@@ -218,16 +239,18 @@ class NodalTransfer(NamedTuple):
 
     Attributes
     ----------
-    shapes : (6,) int64
+    shapes : (7,) int64
         As `restrict` takes them.
     """
 
     shapes: NDArray[np.int64]
 
     @classmethod
-    def between(cls, fine: tuple[int, int, int], coarse: tuple[int, int, int]) -> NodalTransfer:
+    def between(
+        cls, fine: tuple[int, int, int], coarse: tuple[int, int, int], *, open_ends: bool = False
+    ) -> NodalTransfer:
         """From the voxels (nz, ny, nx) of both grids."""
-        return cls(np.array([*fine[::-1], *coarse[::-1]], np.int64))
+        return cls(np.array([*fine[::-1], *coarse[::-1], not open_ends], np.int64))
 
     def restrict(self, fine: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
         """See `restrict`."""

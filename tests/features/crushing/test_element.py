@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sppm_pipeline.features.crushing.numerics.material import Material
-from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli
-from sppm_pipeline.features.stiffness.numerics.elastic_operator import SCRATCH_ROWS
+from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli
+from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
 from sppm_pipeline.services.multigrid.hierarchy import Workspace
 from sppm_pipeline.services.multigrid.rows import APPLY
 

@@ -6,13 +6,13 @@ import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.grading.laws import FormulaLaw
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.grade_distance import GradeDistance
 from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
 from sppm_pipeline.features.grading.stages.grade_image import GradeImage
 from sppm_pipeline.features.grading.stages.grade_nodes import GradeNodes
 from sppm_pipeline.features.grading.stages.grade_points import GradePoints
 from sppm_pipeline.features.grading.stages.grade_table import GradeTable
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.nouns.length import Length

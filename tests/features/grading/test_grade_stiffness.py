@@ -7,12 +7,12 @@ import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.grading.laws import FormulaLaw
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import stiffness_curve
 from sppm_pipeline.features.grading.stages.check_local_porosity import CheckLocalPorosity
 from sppm_pipeline.features.grading.stages.grade_stiffness import GradeStiffness
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.formula import FormulaField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing

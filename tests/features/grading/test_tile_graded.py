@@ -7,11 +7,11 @@ from scipy.ndimage import label
 from benchmarks.recount import laid_kernels, recounted_porosity
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.laws import TableLaw
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.check_local_porosity import CheckLocalPorosity
 from sppm_pipeline.features.grading.stages.tile_graded import EXTRA_CELLS, GradedTiling
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity
 from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part import primitive_meshes
 from sppm_pipeline.method.part.part import Part

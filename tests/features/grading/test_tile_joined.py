@@ -11,11 +11,11 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.grading.laid_graph import kernel_sizes
 from sppm_pipeline.features.grading.laws import FormulaLaw
 from sppm_pipeline.features.grading.local_porosity import LatticeCells
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.tile_joined import JoinedTiling
 from sppm_pipeline.features.grading.stages.tileset_join import JoinTileSets
 from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity
 from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, largest_eigenvalue
-from sppm_pipeline.features.stiffness.numerics.elastic_operator import SCRATCH_ROWS
 from sppm_pipeline.features.stiffness.numerics.elasticity import MutualEnergies
+from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, largest_eigenvalue
+from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace
 from sppm_pipeline.services.multigrid.rows import APPLY, BLOCK, RESIDUAL, SMOOTH
 from sppm_pipeline.services.multigrid.transfer import NodalTransfer

@@ -10,11 +10,11 @@ from sppm_pipeline.features.stiffness.numerics.refinement import (
     limit_of_grids,
     mean_thickness,
     second_order,
-    stiff_share,
 )
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.elastic.voigt import isotropic
 from sppm_pipeline.testing.plain_context import PlainContext
 

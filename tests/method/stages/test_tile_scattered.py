@@ -15,7 +15,6 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.browser.live.structures import _tiles
 from sppm_pipeline.features.grading.laws import FormulaLaw, TableLaw
 from sppm_pipeline.features.grading.local_porosity import LatticeCells
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.stages.tile_graded import GradedTiling
 from sppm_pipeline.features.grading.stages.warp_cylinder import WarpCylinder
 from sppm_pipeline.features.surface.stages.extract_unit_cell import UnitCell
@@ -23,6 +22,7 @@ from sppm_pipeline.method.connectivity.components import phase_report
 from sppm_pipeline.method.families.sampler import Sampler, start_of
 from sppm_pipeline.method.families.tiler import MEASURED_CLOSELY, boxes_of, measured_per_edge
 from sppm_pipeline.method.kernels.kernels import concatenated
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.sampling.blocks import block_quotas, spacing_at_share
 from sppm_pipeline.method.stages.check_residual_periodicity import CheckResidualPeriodicity

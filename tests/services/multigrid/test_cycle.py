@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.features.flow.numerics.conduction import conduction_hierarchy, conductivity
-from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
+from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.services.multigrid.hierarchy import coarser
 from sppm_pipeline.services.multigrid.rows import APPLY
 from sppm_pipeline.services.multigrid.solver import Stop, solve
-from sppm_pipeline.services.multigrid.transfer import interpolate_add, restrict
+from sppm_pipeline.services.multigrid.transfer import NodalTransfer, interpolate_add, restrict
 
 PHYSICS = ["conduction", "elasticity"]
 
@@ -48,11 +48,13 @@ def in_the_range(hierarchy, work, seed):
 
 @pytest.mark.parametrize("fine", [(8, 6, 4), (5, 7, 9), (12, 1, 3), (16, 15, 14)])
 @pytest.mark.parametrize("components", [1, 3])
-def test_restriction_is_the_adjoint_of_interpolation(fine, components):
-    coarse = coarser(fine)
-    shapes, rng = np.array([*fine[::-1], *coarse[::-1]], np.int64), np.random.default_rng(4)
+@pytest.mark.parametrize("open_ends", [False, True])
+def test_restriction_is_the_adjoint_of_interpolation(fine, components, open_ends):
+    coarse = coarser(fine, open_ends=open_ends)
+    assert not open_ends or coarse == tuple(n // 2 + 1 if n > 2 else n for n in fine)
+    shapes, rng = NodalTransfer.between(fine, coarse, open_ends=open_ends).shapes, np.random.default_rng(4)
     c, f = rng.standard_normal(components * np.prod(coarse)), rng.standard_normal(components * np.prod(fine))
-    up, down, scratch = np.zeros_like(f), np.empty_like(c), np.empty(max(fine) + 2)
+    up, down, scratch = np.zeros_like(f), np.empty_like(c), np.empty(max(fine) + 3)
     interpolate_add(c, up, shapes, scratch)
     restrict(f, down, shapes, scratch)
     assert up @ f == pytest.approx(c @ down, rel=1e-12)

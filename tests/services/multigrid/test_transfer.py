@@ -17,7 +17,7 @@ SHAPES = [(8, 6, 4), (5, 7, 9), (1, 2, 3), (3, 1, 16), (4, 5, 1)]
 
 def shapes_of(fine):
     coarse = coarser(fine)
-    return coarse, np.array([*fine[::-1], *coarse[::-1]], np.int64)
+    return coarse, np.array([*fine[::-1], *coarse[::-1], 1], np.int64)
 
 
 def axis_matrix(n):
@@ -39,7 +39,7 @@ def test_interpolation_and_its_transpose(fine, components):
     c, f = rng.standard_normal((components, *coarse)), rng.standard_normal((components, *fine))
     a, b, d = (axis_matrix(n) for n in fine)
     expected = f + np.einsum("ai,bj,ck,nijk->nabc", a, b, d, c)
-    out, scratch = f.reshape(-1).copy(), np.empty(max(fine) + 2)
+    out, scratch = f.reshape(-1).copy(), np.empty(max(fine) + 3)
     interpolate_add(c.reshape(-1), out, shapes, scratch)
     assert out.reshape(f.shape) == pytest.approx(expected)
     back = np.empty(c.size)
@@ -85,7 +85,7 @@ def test_long_edges_wait_until_the_others_have_caught_up(shape):
     transfer = NodalTransfer.between(shape, coarse)
     random = np.random.default_rng(1)
     fine, rough = random.standard_normal(np.prod(shape)), random.standard_normal(np.prod(coarse))
-    line = np.zeros(max(shape) + 2)
+    line = np.zeros(max(shape) + 3)
     down, up = np.zeros(rough.size), np.zeros(fine.size)
     transfer.restrict(fine, down, line)
     transfer.interpolate_add(rough, up, line)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from functools import partial, reduce
 from itertools import accumulate
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, nearest
 
 MAX_LENGTH, MAX_DEPTH, MAX_OPERATIONS = 1000, 40, 200
 """Characters, depth of brackets, and numbers, names and operations of a formula."""
@@ -104,13 +103,6 @@ def fault(text: str, at: int, what: str, hint: str | None = None) -> ConfigError
 def brief(word: str) -> str:
     """A word as messages show it."""
     return repr(word) if len(word) <= 40 else f"{word[:37]!r}..."
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint that names the most similar known name."""
-    known = sorted(known)
-    close = [name for name in known if name.lower() == word.lower()] or get_close_matches(word, known, 1)
-    return f"did you mean {close[0]!r}?" if close else "known are " + ", ".join(known)
 
 
 def _parsed(text: str) -> ast.expr:

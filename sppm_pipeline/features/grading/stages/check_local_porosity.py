@@ -35,9 +35,9 @@ from sppm_pipeline.features.grading.local_porosity import (
     filled_cells,
     smoothed_means,
 )
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.grid import cell_centers
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, Palette, ScalarField, Size, Stage, option
 from sppm_pipeline.features.grading.blended import BlendedField
 from sppm_pipeline.features.grading.local_porosity import filled_cells
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.normal_scores import score_table
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.services.grid import Grid
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, Length, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import DistanceLaw
-from sppm_pipeline.features.grading.maps import Grading
+from sppm_pipeline.method.nouns.maps import Grading
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,17 +8,16 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import ConfigError, Context, SurfaceMesh, option
-from sppm_pipeline.features.grading.grader import Grader
+from sppm_pipeline.features.grading.grader import RESERVED, Grader
 from sppm_pipeline.features.grading.laws import DistanceLaw, FormulaLaw
-from sppm_pipeline.features.grading.maps import (
+from sppm_pipeline.features.grading.numerics.expression import Expression, names_in
+from sppm_pipeline.method.nouns.maps import (
     BOX_COORDINATES,
     CELL_COORDINATES,
     COORDINATES,
     DISTANCE,
-    RESERVED,
     Grading,
 )
-from sppm_pipeline.features.grading.numerics.expression import Expression, names_in
 
 PLACES = (*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE)
 

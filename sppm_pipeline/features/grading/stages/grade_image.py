@@ -10,7 +10,7 @@ import numpy as np
 
 from sppm_pipeline import ConfigError, Context, Length, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
-from sppm_pipeline.features.grading.laws import ImageLaw
+from sppm_pipeline.method.nouns.maps import ImageLaw
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 
 

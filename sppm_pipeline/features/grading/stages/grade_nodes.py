@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Length, SurfaceMesh, option, options
+from sppm_pipeline.errors import nearest
 from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.laws import NodesLaw
-from sppm_pipeline.features.grading.numerics.expression import nearest
 from sppm_pipeline.features.grading.numerics.samples import (
     CORNERS,
     as_tetrahedra,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from sppm_pipeline import (
     Context,
     Headline,
     InputError,
+    Microstructure,
     Palette,
     Recipe,
     RecipeSize,
@@ -25,9 +26,11 @@ from sppm_pipeline import (
 from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import StiffnessLaw
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import stiffness_curve
 from sppm_pipeline.features.grading.rounds import curve_of, recipe_total, trial
+from sppm_pipeline.method.families.homogenizer import Quiet
+from sppm_pipeline.method.nouns.maps import Grading
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 
 TRIED = 6
 """Numbers of pores that usually cover porosities from 0.3 to 0.8."""
@@ -106,7 +109,7 @@ class GradeStiffness(Grader):
             )
         before = Grading() if grading is None else grading
         before.law(self.wanted)  # before any cell is homogenized
-        return before.added(self._law(context, self._cells_of(context, recipe) if recipe is not None else None))
+        return before.added(self._law(context, self._moduli_of(context, recipe) if recipe is not None else None))
 
     def law(self, context: Context, before: Grading, part: SurfaceMesh | None) -> StiffnessLaw:
         """The curve of a file or of pairs."""
@@ -116,17 +119,25 @@ class GradeStiffness(Grader):
     def _homogenizer(self) -> Any:  # its `stiffness_of` is no part of the base class
         return stage_class("homogenize.voxel")(resolution=self.resolution, poisson=self.poisson)
 
-    def _cells_of(self, context: Context, recipe: Recipe) -> NDArray[np.float64]:
-        """Porosities and relative moduli (n, 2) of cells of a recipe with more and fewer pores."""
-        homogenizer, found = self._homogenizer(), list[tuple[float, float]]()
+    def cells_of(
+        self, context: Context, recipe: Recipe, *, quiet: bool = False
+    ) -> list[tuple[Microstructure, StiffnessReport]]:
+        """Cells of a recipe with more and fewer pores, `trials` of each number, and their relative stiffness."""
+        solving = cast(Context, Quiet(context)) if quiet else context
+        homogenizer, found = self._homogenizer(), list[tuple[Microstructure, StiffnessReport]]()
 
         def porosity(count: int, attempt: int) -> float:
-            summary = homogenizer.stiffness_of(context, trial(context, recipe, count, attempt)).summary()
-            found.append((float(summary["porosity"]), float(summary["isotropic"]["E"])))
-            return found[-1][0]
+            cell = trial(context, recipe, count, attempt)
+            found.append((cell, homogenizer.stiffness_of(solving, cell)))
+            return float(found[-1][1].summary()["porosity"])
 
         curve_of(context, porosity, recipe_total(recipe), np.array(self.porosities), self.trials)
-        return np.array(found)
+        return found
+
+    def _moduli_of(self, context: Context, recipe: Recipe) -> NDArray[np.float64]:
+        """Porosities and relative moduli (n, 2) of cells of a recipe."""
+        found = [report.summary() for _, report in self.cells_of(context, recipe)]
+        return np.array([(float(one["porosity"]), float(one["isotropic"]["E"])) for one in found])
 
     def _law(self, context: Context, cells: NDArray[np.float64] | None) -> StiffnessLaw:
         """Fit the curve."""

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import ConfigError, Context, SurfaceMesh, option, options
+from sppm_pipeline.errors import nearest
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import TableLaw
-from sppm_pipeline.features.grading.maps import COORDINATES, Grading
-from sppm_pipeline.features.grading.numerics.expression import nearest
+from sppm_pipeline.method.nouns.maps import COORDINATES, Grading
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 
 

@@ -25,13 +25,13 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.map_sizes import check_round, graded_radii, sites_of
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
 from sppm_pipeline.features.grading.rounds import curve_of, in_rounds, of_periodic_cells, recipe_total, trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size
 from sppm_pipeline.method.families.tileset_maker import check_faces
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.tiling.lattice import face_presence, meetings, tile_fresh, with_halo
 
 FACE_OFFSET = 0.25

@@ -25,13 +25,13 @@ from sppm_pipeline import (
 from sppm_pipeline.features.grading.joined import JoinedSets, Layout, SameSize, Transition, TwoSizes, usual_kernels
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.map_sizes import check_round
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.rounds import in_rounds
 from sppm_pipeline.method.connecting.bounded import spanning_subgraph
 from sppm_pipeline.method.connecting.degrees import clamped_degrees
 from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.sampling.darts import throw
 from sppm_pipeline.method.tiling.lattice import with_halo
 

@@ -31,12 +31,12 @@ from sppm_pipeline.features.grading.curved_porosity import (
 )
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import HALF_RANGE, RAMP, LatticeCells, cell_means, error_summary
-from sppm_pipeline.features.grading.maps import Grading
 from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level
 from sppm_pipeline.features.grading.numerics.newton import LevelFit
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.nouns.maps import Grading
 
 LOWEST = 0.05
 """Lower bound of the level C, where pores are 1.5 times as wide as at the usual 0.25. Not sensitive: levels of graded

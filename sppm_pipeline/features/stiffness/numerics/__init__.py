@@ -1,5 +1,3 @@
-"""Effective stiffness of periodic cells of voxels.
-
-`elasticity` solves, with `elastic_operator`, `elastic_level` and `elastic_energy`, by the multigrid of
-`sppm_pipeline.services.multigrid`.
+"""Effective stiffness of periodic cells of voxels: `elasticity` solves, by the operators of
+`sppm_pipeline.services.elastic` and the multigrid of `sppm_pipeline.services.multigrid`.
 """

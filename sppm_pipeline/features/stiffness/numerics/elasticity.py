@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, grids_of
+from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.services.elastic.voigt import from_lame
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace
 from sppm_pipeline.services.multigrid.solver import Solved, Stop, load_cases

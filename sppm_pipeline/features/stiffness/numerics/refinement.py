@@ -7,10 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-EMPTY, FULL = 0.25, 0.75
-"""Solid fractions below which a voxel counts as void, and above which as solid. On 13 cells at 64 voxels
-the extrapolated error is 0.73 %, rms; 1.1 % with 0.35 and 0.65, and 1.5 % in proportion to the fraction (0 and 1)."""
-
 _REST = 0.25
 """Relative error of a member one voxel thick that extrapolation may leave. The least that covers the 40 cases of
 benchmarks/partial_voxels.py is 0.241; half of it misses three of them, twice only widens the bars."""
@@ -21,16 +17,6 @@ smooth sheets many voxels thick are too short."""
 
 _INDEFINITE = 1e-4
 """Negative eigenvalues of an extrapolated stiffness, over its norm, that are the solver's error."""
-
-
-def stiff_share(fraction: NDArray[Any]) -> NDArray[Any]:
-    """Share of the solid's stiffness that a voxel has, by its solid fraction: 0 to 1/4, 1 from 3/4 on, linear between.
-
-    The rule is symmetric, ``f(s) + f(1 - s) = 1``: a flat surface stays where it is in the mean, wherever it cuts the
-    voxels, so that errors are of second order in the voxel, and two materials may change places.
-    """
-    share: NDArray[Any] = np.clip((fraction - fraction.dtype.type(EMPTY)) / fraction.dtype.type(FULL - EMPTY), 0, 1)
-    return share
 
 
 def mean_thickness(fraction: NDArray[Any]) -> float:

@@ -14,10 +14,10 @@ from sppm_pipeline.features.stiffness.numerics.refinement import (
     limit_of_grids,
     mean_thickness,
     second_order,
-    stiff_share,
 )
 from sppm_pipeline.method.families.homogenizer import LOCKING, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.multigrid.transfer import coarsened
 
 if TYPE_CHECKING:

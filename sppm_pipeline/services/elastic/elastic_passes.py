@@ -3,6 +3,9 @@
 A smoothing step from zero is the residual times the weights, so that its displacements need no vector: they are
 computed two planes at a time, right before the bricks between them are visited. Residuals are restricted and
 corrections interpolated plane by plane, too. A cycle then reads the residual twice and writes its result once.
+
+Displacements may be held at zero: no force, residual or correction is left there, so that the passes are those of the
+matrix without these rows and columns.
 """
 
 from __future__ import annotations
@@ -12,12 +15,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.stiffness.numerics.elastic_operator import sweep_plane
+from sppm_pipeline.services.elastic.elastic_operator import sweep_plane
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.multigrid.rows import APPLY, RESIDUAL, SMOOTH
 from sppm_pipeline.services.multigrid.transfer import interpolate_plane, restrict_plane
 
 _0, _1, _3 = np.uint64(0), np.uint64(1), np.uint64(3)
+
+
+@inline_jit
+def _hold(out: NDArray[Any], at: Any, comp: Any, held: NDArray[np.int32], first: Any, last: Any, layer: Any) -> None:
+    for k in range(first, last):
+        place = np.uint64(held[k])
+        out[at + place // layer * comp + place % layer] = 0
 
 
 @jit
@@ -33,6 +43,8 @@ def apply_stiffness(
     out: NDArray[Any],
     plane: NDArray[Any],
     s: NDArray[Any],
+    held: NDArray[np.int32],
+    first: NDArray[np.int64],
 ) -> float:
     """Compute forces ``f = K v`` of displacements, their residual, or a smoothing step.
 
@@ -49,14 +61,18 @@ def apply_stiffness(
         Damped inverse of the diagonal; read by `SMOOTH`.
     lam, mu : (nz, ny, nx + 1)
         Lamé constants of the voxels, the last voxel of a row first and last; the first one times the last coefficient.
-    c : (25,)
+    c : (26,)
         Coefficients from `coefficients`.
     out : (3, nz, ny, nx)
         Must not be `v`, and may be `r`.
     plane : (blocks, ny, 3, STRIDE)
         Scratch.
     s : (SCRATCH_ROWS * STRIDE,)
-        Scratch. All arrays have the same precision; sums are in double precision.
+        Scratch.
+    held : (h,) int32
+        Displacements that are held at zero, which `v` must be there: places in a plane (3, ny, nx), plane by plane.
+    first : (nz + 1,) int64
+        Where those of each plane begin. All arrays have the same precision; sums are in double precision.
     """
     planes = np.uint64(shape[2])
     layer = np.uint64(shape[0]) * np.uint64(shape[1])
@@ -68,6 +84,8 @@ def apply_stiffness(
             mode, v, low * layer, high * layer, comp, r, weight, lam, mu, c, shape, low, t > _0, out, low * layer,
             comp, plane, s,
         )  # fmt: skip
+        if t > _0:
+            _hold(out, low * layer, comp, held, first[low], first[low + _1], layer)
     return total
 
 
@@ -94,6 +112,8 @@ def descend(
     line: NDArray[Any],
     plane: NDArray[Any],
     s: NDArray[Any],
+    held: NDArray[np.int32],
+    first: NDArray[np.int64],
 ) -> None:
     """Restrict the residual after a smoothing step from zero to the next coarser grid.
 
@@ -112,12 +132,15 @@ def descend(
     comp = planes * layer
     coarse[:] = 0
     _weigh_plane(r, (planes - _1) * layer, comp, weight, ring, _3 * layer, layer)
+    _hold(ring, _3 * layer, layer, held, first[planes - _1], first[planes], layer)
     for t in range(planes + _1):
         low, high = (t + planes - _1) % planes, t % planes
         a, b = ((t + _1) & _1) * _3 * layer, (t & _1) * _3 * layer
         _weigh_plane(r, high * layer, comp, weight, ring, b, layer)
+        _hold(ring, b, layer, held, first[high], first[high + _1], layer)
         sweep_plane(RESIDUAL, ring, a, b, layer, r, weight, lam, mu, c, shape, low, t > _0, rest, _0, layer, plane, s)
         if t > _0:
+            _hold(rest, _0, layer, held, first[low], first[low + _1], layer)
             restrict_plane(rest, _0, layer, low, shapes, coarse, line)
 
 
@@ -136,6 +159,8 @@ def ascend(
     out: NDArray[Any],
     plane: NDArray[Any],
     s: NDArray[Any],
+    held: NDArray[np.int32],
+    first: NDArray[np.int64],
 ) -> float:
     """Smooth from zero, add the correction of the coarser grid, and smooth again; returns ``r . out``.
 
@@ -146,14 +171,18 @@ def ascend(
     total = 0.0
     _weigh_plane(r, (planes - _1) * layer, comp, weight, ring, _3 * layer, layer)
     interpolate_plane(coarse, planes - _1, shapes, ring, _3 * layer, layer, line)
+    _hold(ring, _3 * layer, layer, held, first[planes - _1], first[planes], layer)
     for t in range(planes + _1):
         low, high = (t + planes - _1) % planes, t % planes
         a, b = ((t + _1) & _1) * _3 * layer, (t & _1) * _3 * layer
         _weigh_plane(r, high * layer, comp, weight, ring, b, layer)
         interpolate_plane(coarse, high, shapes, ring, b, layer, line)
+        _hold(ring, b, layer, held, first[high], first[high + _1], layer)
         total += sweep_plane(
             SMOOTH, ring, a, b, layer, r, weight, lam, mu, c, shape, low, t > _0, out, low * layer, comp, plane, s
         )
+        if t > _0:
+            _hold(out, low * layer, comp, held, first[low], first[low + _1], layer)
     return total
 
 
@@ -177,6 +206,8 @@ def turn_apply(
     shape: NDArray[np.int64],
     plane: NDArray[Any],
     s: NDArray[Any],
+    held: NDArray[np.int32],
+    first: NDArray[np.int64],
 ) -> float:
     """Compute the next direction ``p = z + beta p`` and its forces, which replace z; returns ``p . K p``.
 
@@ -195,6 +226,8 @@ def turn_apply(
             APPLY, p, low * layer, high * layer, comp, p, weight, lam, mu, c, shape, low, t > _0, z, low * layer, comp,
             plane, s,
         )  # fmt: skip
+        if t > _0:
+            _hold(z, low * layer, comp, held, first[low], first[low + _1], layer)
     return total
 
 

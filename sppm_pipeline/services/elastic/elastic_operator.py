@@ -10,6 +10,9 @@ Bricks are taken row by row along x. Sums and differences along z and x of a lin
 both of its sides, as do those of the forces; intermediate values lie in a small scratch array whose rows have a
 constant distance, so that the compiler can prove that they never overlap and uses vector instructions throughout. Rows
 of the three components share one loop: three calls of the kernels in `multigrid.rows` take 1.3 to 2.2 times as long.
+
+Bricks are isotropic, or have all 21 constants of a stiffness, twice the operations: then `lam` holds the upper
+triangles of the matrices, constant by constant, and `mu` only counts.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.elastic.elastic_bricks import full_row, give_back, modes_of
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.multigrid.rows import APPLY, BLOCK, HEAD, LANES, SMOOTH, STRIDE
 
@@ -61,10 +65,7 @@ def _first_line(s: NDArray[Any], width: Any) -> None:
 def _brick_row(
     s: NDArray[Any], lam: NDArray[Any], mu: NDArray[Any], at: Any, c: NDArray[Any], first: Any, width: Any
 ) -> None:
-    """Forces of a row of bricks between the line before and the line whose sums along z are in scratch.
-
-    Names: x100 is the coefficient of ξ of the displacement along x, z011 that of ηζ of the displacement along z.
-    """
+    """Forces of a row of bricks between the line before and the line whose sums along z are in scratch."""
     gx, gy, gz = c[0], c[1], c[2]
     nxy, nxz, nyx, nyz, nzx, nzy = c[3], c[4], c[5], c[6], c[7], c[8]
     lx, ly, lz = c[9], c[10], c[11]
@@ -74,45 +75,10 @@ def _brick_row(
     at -= _HEAD
     # whole vectors: entries beyond the width are scratch that nothing reads
     for e in range(first, first + (width + _LANES - _1) // _LANES * _LANES):
-        # along x: sum and difference of the sums (ss, sd) and of the differences (ds, dd) along z
-        a, b = s[e], s[e + _1]
-        xss, xsd = a + b, b - a
-        a, b = s[e + _R[1]], s[e + _R[1] + _1]
-        xds, xdd = a + b, b - a
-        a, b = s[e + _R[2]], s[e + _R[2] + _1]
-        yss, ysd = a + b, b - a
-        a, b = s[e + _R[3]], s[e + _R[3] + _1]
-        yds, ydd = a + b, b - a
-        a, b = s[e + _R[4]], s[e + _R[4] + _1]
-        zss, zsd = a + b, b - a
-        a, b = s[e + _R[5]], s[e + _R[5] + _1]
-        zds, zdd = a + b, b - a
-        # along y
-        x010 = xss - s[e + _R[6]]
-        x100, x110 = s[e + _R[7]] + xsd, xsd - s[e + _R[7]]
-        x001, x011 = s[e + _R[8]] + xds, xds - s[e + _R[8]]
-        x101, x111 = s[e + _R[9]] + xdd, xdd - s[e + _R[9]]
-        y010 = yss - s[e + _R[10]]
-        y100, y110 = s[e + _R[11]] + ysd, ysd - s[e + _R[11]]
-        y001, y011 = s[e + _R[12]] + yds, yds - s[e + _R[12]]
-        y101, y111 = s[e + _R[13]] + ydd, ydd - s[e + _R[13]]
-        z010 = zss - s[e + _R[14]]
-        z100, z110 = s[e + _R[15]] + zsd, zsd - s[e + _R[15]]
-        z001, z011 = s[e + _R[16]] + zds, zds - s[e + _R[16]]
-        z101, z111 = s[e + _R[17]] + zdd, zdd - s[e + _R[17]]
-        # keep the modes of this line for the next row of bricks
-        s[e + _R[6]] = xss
-        s[e + _R[7]] = xsd
-        s[e + _R[8]] = xds
-        s[e + _R[9]] = xdd
-        s[e + _R[10]] = yss
-        s[e + _R[11]] = ysd
-        s[e + _R[12]] = yds
-        s[e + _R[13]] = ydd
-        s[e + _R[14]] = zss
-        s[e + _R[15]] = zsd
-        s[e + _R[16]] = zds
-        s[e + _R[17]] = zdd
+        x, y, z = modes_of(s, e)
+        x010, x100, x110, x001, x011, x101, x111 = x
+        y010, y100, y110, y001, y011, y101, y111 = y
+        z010, z100, z110, z001, z011, z101, z111 = z
         k, m = factor * lam[at + e], mu[at + e]
         # constant strain
         ax, ay, az = gx * x100 + exx, gy * y010 + eyy, gz * z001 + ezz
@@ -139,31 +105,10 @@ def _brick_row(
         x011, y101, z110 = gy * p + gz * q, gx * p + gz * t, gx * q + gy * t
         # bilinear terms
         x111, y111, z111 = (lx * k + mx * m) * x111, (ly * k + my * m) * y111, (lz * k + mz * m) * z111
-        # back along y: rows 30-41 are complete, rows 18-29 wait for the next row of bricks
-        s[e + _R[30]] = s[e + _R[18]] - x010
-        s[e + _R[18]] = x010
-        s[e + _R[31]] = s[e + _R[19]] + (x100 - x110)
-        s[e + _R[19]] = x100 + x110
-        s[e + _R[32]] = s[e + _R[20]] + (x001 - x011)
-        s[e + _R[20]] = x001 + x011
-        s[e + _R[33]] = s[e + _R[21]] + (x101 - x111)
-        s[e + _R[21]] = x101 + x111
-        s[e + _R[34]] = s[e + _R[22]] - y010
-        s[e + _R[22]] = y010
-        s[e + _R[35]] = s[e + _R[23]] + (y100 - y110)
-        s[e + _R[23]] = y100 + y110
-        s[e + _R[36]] = s[e + _R[24]] + (y001 - y011)
-        s[e + _R[24]] = y001 + y011
-        s[e + _R[37]] = s[e + _R[25]] + (y101 - y111)
-        s[e + _R[25]] = y101 + y111
-        s[e + _R[38]] = s[e + _R[26]] - z010
-        s[e + _R[26]] = z010
-        s[e + _R[39]] = s[e + _R[27]] + (z100 - z110)
-        s[e + _R[27]] = z100 + z110
-        s[e + _R[40]] = s[e + _R[28]] + (z001 - z011)
-        s[e + _R[28]] = z001 + z011
-        s[e + _R[41]] = s[e + _R[29]] + (z101 - z111)
-        s[e + _R[29]] = z101 + z111
+        x = x010, x100, x110, x001, x011, x101, x111
+        y = y010, y100, y110, y001, y011, y101, y111
+        z = z010, z100, z110, z001, z011, z101, z111
+        give_back(s, e, x, y, z)
 
 
 @inline_jit
@@ -307,7 +252,8 @@ def sweep_plane(
         Receives the plane from `oat` on, components `ocomp` apart.
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
-    padded = np.uint64(len(lam)) // (lines * planes)
+    padded = np.uint64(len(mu)) // (lines * planes)
+    step, general = np.uint64(len(mu)), len(lam) > len(mu)
     blocks = (n + _BLOCK - _1) // _BLOCK
     comp = planes * lines * n
     total = 0.0
@@ -325,9 +271,14 @@ def sweep_plane(
             bricks = (low * lines + row) * padded + start + _HEAD
             if blocks == _1:
                 # the last brick of the row lies before the first one, too
-                _brick_row(s, lam, mu, bricks, c, _HEAD, width)
+                if general:
+                    full_row(s, lam, step, bricks, c, _HEAD, width)
+                else:
+                    _brick_row(s, lam, mu, bricks, c, _HEAD, width)
                 for i in range(_LINE, _FORCE, _R[1]):
                     s[i + _HEAD - _1] = s[i + _HEAD + width - _1]
+            elif general:
+                full_row(s, lam, step, bricks, c, _HEAD - _1, width + _1)
             else:
                 _brick_row(s, lam, mu, bricks, c, _HEAD - _1, width + _1)
             if line == _1:

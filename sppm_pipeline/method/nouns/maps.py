@@ -11,8 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS, nearest
+from sppm_pipeline.errors import ConfigError, DesignError, nearest
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
 from sppm_pipeline.nouns.palette import Maps
 
@@ -52,7 +51,6 @@ COORDINATES = ("x", "y", "z")
 BOX_COORDINATES = ("u", "v", "w")
 CELL_COORDINATES = ("cell_x", "cell_y", "cell_z")
 DISTANCE = "distance"
-RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE, *FUNCTIONS, *CONSTANTS, *WORDS})
 
 
 class CellFrame(NamedTuple):
@@ -138,6 +136,57 @@ class Law(Artifact):
     def blame(self) -> str:
         """Name for messages."""
         return f"the map {self.name!r}"
+
+
+@dataclass(frozen=True, eq=False)
+class DataLaw(Law):
+    """Base of laws that are data; `outside` there is the "nearest" value, or with "refuse" none."""
+
+    outside: str
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """Low and high corner of the data, (2, 3) mm."""
+        raise NotImplementedError
+
+    def beyond(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points (n, 3) lie outside of the box of the data, up to rounding."""
+        low, high = self.box
+        slack = 1e-9 * np.abs(self.box).max()
+        found: NDArray[np.bool_] = ((points < low - slack) | (points > high + slack)).any(axis=1)
+        return found
+
+    def bounded(self, values: NDArray[np.float64], outside: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """`values`, without those outside if these are refused."""
+        return np.where(outside, np.nan, values) if self.outside == "refuse" else values
+
+
+@dataclass(frozen=True, eq=False)
+class ImageLaw(DataLaw):
+    """An image, linear between the middles of voxels."""
+
+    values: NDArray[Any]  # (nx, ny, nz), any type of numbers
+    origin: tuple[float, float, float]  # low corner of the first voxel, mm
+    spacing: tuple[float, float, float]  # edges of a voxel, mm
+    factor: float  # of the numbers
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        low = np.array(self.origin)
+        return np.array([low, low + np.array(self.spacing) * self.values.shape])
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return self.factor * float(self.values.min()), self.factor * float(self.values.max())
+
+    def at(self, place: Place) -> NDArray[np.float64]:
+        from scipy.ndimage import map_coordinates
+
+        # values belong to the centers of voxels; the outer half voxel continues them as a constant
+        index = (place.points - self.origin) / self.spacing - 0.5
+        index = np.clip(index, 0, np.array(self.values.shape) - 1)
+        found = map_coordinates(self.values, index.T, np.float64, order=1, mode="nearest", prefilter=False)
+        return self.bounded(self.factor * found, self.beyond(place.points))
 
 
 def checked(law: Law, place: Place) -> NDArray[np.float64]:

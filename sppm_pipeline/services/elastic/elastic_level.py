@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.stiffness.numerics.elastic_energy import ENERGY_ROWS, energy_and_stress, energy_coefficients
-from sppm_pipeline.features.stiffness.numerics.elastic_operator import SCRATCH_ROWS
-from sppm_pipeline.features.stiffness.numerics.elastic_passes import (
+from sppm_pipeline.services.elastic.elastic_energy import ENERGY_ROWS, energy_and_stress, energy_coefficients
+from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
+from sppm_pipeline.services.elastic.elastic_passes import (
     apply_stiffness,
     ascend,
     constant_forces,
@@ -67,7 +67,7 @@ class Moduli(NamedTuple):
 def coefficients(
     edges: tuple[float, float, float], strain: NDArray[np.float64] | None = None, ratio: float = 1.0
 ) -> NDArray[np.float64]:
-    """Weights of the modes of a brick for `apply_stiffness`, (25,).
+    """Weights of the modes of a brick for `apply_stiffness`, (26,).
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def coefficients(
     q = g * g
     linear = [(2 * q[a] + q[b]) / 3 for a, b in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))]
     constant = np.zeros(6) if strain is None else np.sqrt(volume) * strain
-    return np.concatenate([g, linear, q / 9, (q + q.sum()) / 9, g / 3, constant, [ratio]])
+    return np.concatenate([g, linear, q / 9, (q + q.sum()) / 9, g / 3, constant, [ratio, 1 / 3]])
 
 
 class ElasticLevel:
@@ -111,6 +111,13 @@ class ElasticLevel:
         self.c = coefficients(edges, None, moduli.ratio).astype(dtype)
         self.size = np.array([nx, ny, nz], np.int64)
         self.weight = np.zeros(nx * ny * nz, dtype)
+        self.held, self.first = np.zeros(0, np.int32), np.zeros(nz + 1, np.int64)
+
+    def hold(self, fixed: NDArray[np.bool_]) -> None:
+        """Hold displacements at zero, (3, nz, ny, nx) bool."""
+        planes = fixed.transpose(1, 0, 2, 3).reshape(self.shape[0], -1)
+        self.held = np.nonzero(planes)[1].astype(np.int32)
+        self.first = np.concatenate([[0], np.cumsum(np.count_nonzero(planes, axis=1))]).astype(np.int64)
 
     @property
     def moduli(self) -> Moduli:
@@ -132,15 +139,16 @@ class ElasticLevel:
     def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
         """See `elastic_passes.apply_stiffness`."""
         return apply_stiffness(
-            mode, v, r, self.weight, self.lam, self.mu, self.c, self.size, out, work.plane, work.rows
-        )
+            mode, v, r, self.weight, self.lam, self.mu, self.c, self.size, out, work.plane, work.rows, self.held,
+            self.first,
+        )  # fmt: skip
 
     def descend(self, r: NDArray[Any], coarse: NDArray[Any], transfer: Transfer, work: Workspace) -> None:
         """See `elastic_passes.descend`."""
         assert isinstance(transfer, NodalTransfer)
         descend(
             r, self.weight, self.lam, self.mu, self.c, self.size, coarse, transfer.shapes, work.ring, work.rest,
-            work.line, work.plane, work.rows,
+            work.line, work.plane, work.rows, self.held, self.first,
         )  # fmt: skip
 
     def ascend(
@@ -150,12 +158,14 @@ class ElasticLevel:
         assert isinstance(transfer, NodalTransfer)
         return ascend(
             r, self.weight, self.lam, self.mu, self.c, self.size, coarse, transfer.shapes, work.ring, work.line, out,
-            work.plane, work.rows,
+            work.plane, work.rows, self.held, self.first,
         )  # fmt: skip
 
     def turn_apply(self, z: NDArray[Any], beta: float, p: NDArray[Any], work: Workspace) -> float:
         """See `elastic_passes.turn_apply`."""
-        return turn_apply(z, beta, p, self.weight, self.lam, self.mu, self.c, self.size, work.plane, work.rows)
+        return turn_apply(
+            z, beta, p, self.weight, self.lam, self.mu, self.c, self.size, work.plane, work.rows, self.held, self.first
+        )
 
     def forces(self, strain: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
         """Nodal forces of a constant strain (6,), written to `out`."""
@@ -166,7 +176,9 @@ class ElasticLevel:
     def strained_forces(self, strain: NDArray[np.float64], u: NDArray[Any], out: NDArray[Any], work: Workspace) -> None:
         """Nodal forces of displacements plus a constant strain (6,), written to `out`."""
         c = coefficients(self.edges, strain, self.ratio).astype(self.c.dtype)
-        apply_stiffness(APPLY, u, u, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows)
+        apply_stiffness(
+            APPLY, u, u, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows, self.held, self.first
+        )
 
     def energy_and_stress(self, strain: NDArray[np.float64], u: NDArray[Any]) -> tuple[float, NDArray[np.float64]]:
         """Mean energy and mean stresses (6,) of displacements plus a constant strain (6,)."""

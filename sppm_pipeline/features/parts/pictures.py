@@ -1,0 +1,77 @@
+"""Pictures of a part: its conditions, and how it deforms."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.parts.numerics.voxel_body import Applied, VoxelBody, exposed_faces
+from sppm_pipeline.pictures import BONE, Camera, colors_of, contact_sheet, render_mesh, with_scale
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.parts.part_result import PartResult
+
+COLORS = {"displacement": (60, 110, 190), "force": (200, 50, 40), "pressure": (230, 140, 30)}
+"""Of what is held, pulled and pressed."""
+
+CAMERA = Camera(azimuth=-55.0, elevation=25.0)
+
+
+def surface_of(body: VoxelBody) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+    """Nodes at the surface (n,), triangles (m, 3) between them, and the voxel (m,) of each triangle."""
+    faces = exposed_faces(body)
+    quads = faces.corners
+    nodes, corners = np.unique(np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), return_inverse=True)
+    return nodes, corners.reshape(-1, 3).astype(np.int32), np.concatenate([faces.voxel, faces.voxel])
+
+
+def conditions_picture(body: VoxelBody, cases: list[tuple[str, Applied]], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The part once for each case: blue where it is held, red where it is pulled, orange where it is pressed."""
+    nodes, triangles, _ = surface_of(body)
+    points = body.points(nodes)
+    pictures = []
+    for _, one in cases:
+        colors = np.tile(np.array(BONE, np.uint8), (len(triangles) // 2, 1))
+        for condition, faces in one.regions:
+            colors[faces] = COLORS[condition.kind]
+        both = np.concatenate([colors, colors])
+        pictures.append(render_mesh(points, triangles, camera=CAMERA, size=size, face_colors=both, smooth=False))
+    return np.asarray(contact_sheet(pictures, [name for name, _ in cases], columns=min(3, len(pictures))))
+
+
+def deformed_picture(result: PartResult, case: int, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The deformed part in colors of the stress."""
+    top = float(np.percentile(result.stresses[case], 99)) if result.stresses.size else 0.0
+    drawn = render_mesh(
+        (result.points + result.magnification * result.moved[case]).astype(np.float64),
+        result.triangles,
+        camera=CAMERA,
+        size=size,
+        face_colors=colors_of(result.stresses[case].astype(np.float64), 0.0, top),
+        smooth=False,
+    )
+    label = f"{list(result.cases)[case]}: displacements {result.magnification:g} times"
+    sheet = contact_sheet([drawn], [label])
+    return np.asarray(with_scale(sheet, 0.0, top, "von Mises, MPa", max(120, size[0] // 5)) if top > 0 else sheet)
+
+
+def density_picture(
+    body: VoxelBody, density: NDArray[np.float64], bounds: tuple[float, float], label: str
+) -> NDArray[np.uint8]:
+    """The part from outside, and its far half: elements (m,) in colors of their density."""
+    z, y, x = np.nonzero(body.solid)
+    pictures = []
+    for kept in (np.ones(len(y), bool), y >= body.solid.shape[1] // 2):
+        shown, values = np.zeros_like(body.solid), np.zeros(body.solid.shape)
+        shown[z[kept], y[kept], x[kept]] = True
+        values[body.solid] = density
+        half = body._replace(solid=shown)
+        nodes, triangles, voxels = surface_of(half)
+        colors = colors_of(values.reshape(-1)[voxels], *bounds)
+        pictures.append(
+            render_mesh(half.points(nodes), triangles, camera=CAMERA, size=(600, 480), face_colors=colors, smooth=False)
+        )
+    sheet = contact_sheet(pictures, [label, f"{label}, far half"], columns=2)
+    return np.asarray(with_scale(sheet, *bounds, "relative density", 130))

@@ -1,0 +1,167 @@
+"""A part of voxels under its load cases, solved one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline import Context, DesignError
+from sppm_pipeline.features.parts.numerics.voxel_body import Applied, VoxelBody, applied, held_solid
+from sppm_pipeline.features.parts.part_result import TOP, PartResult
+from sppm_pipeline.features.parts.pictures import surface_of
+from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases
+from sppm_pipeline.services.elastic.elastic_level import Moduli
+from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of, unpacked, von_mises
+
+LARGE = 0.1
+"""Displacement, over the longest side of the part, from which on linear elasticity is doubtful; ten times as much is no
+result at all but a mistake of units."""
+
+
+class Model(NamedTuple):
+    """What is solved.
+
+    Attributes
+    ----------
+    body : VoxelBody
+    moduli : (nz, ny, nx) float, or (21, nz, ny, nx) float
+        Shear moduli of voxels of one Poisson's ratio, or all constants, MPa; 0 in the void.
+    ratio : float
+        Of both Lamé constants, with shear moduli.
+    mass : (nz, ny, nx) float32
+        Of the voxels, g; their volume in cm3 where the density is not known.
+    walls : (nz, ny, nx) float32, or None
+        Relative density of the walls in a homogenized voxel.
+    """
+
+    body: VoxelBody
+    moduli: NDArray[Any]
+    ratio: float
+    mass: NDArray[np.float32]
+    walls: NDArray[np.float32] | None = None
+
+    def held(self, solid: NDArray[np.bool_], fixed: NDArray[np.bool_], dtype: Any) -> HeldBody:
+        """The solver of what is solid, with nodes held."""
+        moduli = self.moduli if solid is self.body.solid else np.where(solid, self.moduli, self.moduli.dtype.type(0))
+        given = moduli if self.moduli.ndim == 4 else Moduli(moduli, None, self.ratio)
+        return HeldBody(given, self.body.edges, fixed, dtype)
+
+
+class Prepared(NamedTuple):
+    """A case on what of the body is held."""
+
+    case: LoadCase
+    body: VoxelBody
+    applied: Applied
+    loose: float
+
+
+def prepared(model: Model, case: LoadCase, *, drop: bool) -> Prepared:
+    """Put a case on the pieces of the body that it holds; `DesignError` as `applied` and `held_solid`."""
+    found = applied(model.body, case, model.mass)
+    held = held_solid(model.body, case, found.fixed, drop=drop)
+    if not held.loose:
+        return Prepared(case, model.body, found, 0.0)
+    body = model.body._replace(solid=held.solid)
+    return Prepared(case, body, applied(body, case, np.where(held.solid, model.mass, 0)), held.loose)
+
+
+def simulated(
+    context: Context,
+    model: Model,
+    cases: LoadCases,
+    *,
+    drop: bool,
+    tolerance: float,
+    iterations: int,
+    yield_stress: float | None,
+    has_mass: bool,
+) -> tuple[PartResult, Mapping[str, dict[str, NDArray[Any]]]]:
+    """Solve all cases: the result, and displacements and stresses on all voxels of each for files."""
+    numbers: dict[str, Any] = {}
+    compliance, worst_move, worst_stress, loose = 0.0, 0.0, 0.0, 0.0
+    surface, solver, last = None, None, None
+    moved, stresses, full = [], [], dict[str, dict[str, NDArray[Any]]]()
+    for number, case in enumerate(cases.cases):
+        ready = prepared(model, case, drop=drop)
+        one, solid = ready.applied, ready.body.solid
+        if solver is None or last is None or not np.array_equal(one.fixed, last):
+            solver, last = model.held(solid, one.fixed, np.float32), one.fixed
+        found = solver.solve(one.loads, one.given, residual=1e-6, energy=tolerance, iterations=iterations)
+        if not found.solved.converged:
+            context.warn(
+                f"case {case.name!r}: after {found.solved.iterations} iterations an estimated error of "
+                f"{min(found.solved.error, 1):.1g} is left; allow more `iterations`"
+            )
+        u = found.displacement
+        u *= ready.body.used()
+        forces = solver.forces(u).astype(np.float64)
+        # work of the loads, and of what holds along given displacements
+        energy = float((one.loads * u).sum(dtype=np.float64) + ((forces - one.loads) * one.given).sum())
+        reaction = [float((forces[axis] - one.loads[axis])[one.fixed[axis]].sum()) for axis in range(3)]
+        move = float(np.sqrt((u.astype(np.float64) ** 2).sum(axis=0)).max())
+        _check_move(context, case, move, ready.body)
+        stress = _stress(model, solid, u)
+        top = float(np.percentile(stress[solid], TOP))
+        numbers[case.name] = {
+            "compliance": energy, "deflection": move, "stress": top, "reaction": [float(f"{v:.6g}") for v in reaction],
+            "iterations": found.solved.iterations,
+        }  # fmt: skip
+        compliance += case.weight * energy
+        worst_move, worst_stress, loose = max(worst_move, move), max(worst_stress, top), max(loose, ready.loose)
+        if surface is None:
+            surface = surface_of(ready.body)
+        nodes, _, voxels = surface
+        moved.append(u.reshape(3, -1)[:, nodes].T)
+        stresses.append(stress.reshape(-1)[voxels])
+        full[case.name] = {"displacement": u, "stress": stress}
+        context.progress(number + 1, len(cases.cases), "load cases")
+    assert surface is not None
+    if loose:
+        context.warn(f"{loose:.2g} of the solid is not held by anything, and left out")
+    nodes, triangles, _ = surface
+    result = PartResult(
+        "resolved" if model.walls is None else "homogenized", compliance, worst_move, worst_stress,
+        safety=yield_stress / worst_stress if yield_stress and worst_stress else None,
+        mass=float(model.mass.sum(dtype=np.float64)) if has_mass else None, loose=loose,
+        elements=int(np.count_nonzero(model.body.solid)), cases=numbers,
+        points=model.body.points(nodes).astype(np.float32), triangles=triangles,
+        moved=np.stack(moved).astype(np.float32), stresses=np.stack(stresses).astype(np.float32),
+    )  # fmt: skip
+    return result, full
+
+
+def _check_move(context: Context, case: LoadCase, move: float, body: VoxelBody) -> None:
+    """Refuse displacements that no part can have, and warn of those that are not small."""
+    longest = float((np.array(body.edges) * body.solid.shape[::-1]).max())
+    if move > 10 * LARGE * longest:
+        raise DesignError(
+            f"case {case.name!r}: the part would move by {move:.3g} mm, and is {longest:.4g} mm long",
+            hint="are forces in N, `young` in MPa and the mesh in mm?",
+        )
+    if move > LARGE * longest:
+        context.warn(
+            f"case {case.name!r}: the part moves by {move / longest:.0%} of its length; linear elasticity, which "
+            "assumes small displacements, is not reliable"
+        )
+
+
+def _stress(model: Model, solid: NDArray[np.bool_], u: NDArray[Any]) -> NDArray[np.float32]:
+    """Von Mises stress of each voxel; of homogenized ones, the mean over their walls."""
+    out = np.zeros(solid.shape, np.float32)
+    if model.walls is None:
+        von_mises(u, model.moduli, np.array(model.body.edges), out)
+        # a voxel that is partly solid has the share of the modulus, and its solid the stress of the whole
+        full = float(model.moduli.max())
+        np.divide(out * np.float32(full), model.moduli, out=out, where=solid, casting="same_kind")
+        out[~solid] = 0
+        return out
+    mean, _ = strains_of(u, solid, model.body.edges)
+    matrices = unpacked(model.moduli[:, solid])
+    xx, yy, zz, yz, xz, xy = np.einsum("nij,jn->in", matrices, mean)
+    mises = np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * (yz**2 + xz**2 + xy**2))
+    out[solid] = mises / model.walls[solid]
+    return out

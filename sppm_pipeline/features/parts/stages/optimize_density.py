@@ -1,0 +1,327 @@
+"""``optimize.density``: the porosity that makes a part as stiff as its mass allows, or as light as it may bend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    DesignError,
+    Headline,
+    Length,
+    Palette,
+    Recipe,
+    RecipeSize,
+    Size,
+    SurfaceMesh,
+    option,
+    options,
+)
+from sppm_pipeline.features.parts.bodies import SharedBody
+from sppm_pipeline.features.parts.material import LoadedPart, middles_of
+from sppm_pipeline.features.parts.numerics.density_law import DensityLaw
+from sppm_pipeline.features.parts.numerics.density_search import ConeFilter, updated
+from sppm_pipeline.features.parts.solving import Prepared, prepared
+from sppm_pipeline.method.nouns.conditions import LoadCases, region_of
+from sppm_pipeline.method.nouns.maps import Grading, ImageLaw
+from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of
+
+EVERY = 10
+"""Steps between pictures."""
+
+CHANGE = 0.01
+"""Change of densities that ends the search."""
+
+SETTLED, GAIN = 5, 1e-3
+"""The search ends, too, when so many steps lower the compliance by no more than this part."""
+
+
+class State(NamedTuple):
+    """Densities, and what follows from them."""
+
+    density: NDArray[np.float64]
+    compliance: float
+    gain: NDArray[np.float64]  # of densities, (m,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizeDensity(LoadedPart):
+    """Find the porosity of every place of a part: the least compliance at a mass, or the least mass at a deflection.
+
+    Elements of half a cell have the stiffness of the recipe's trial cells, measured in this run; densities stay between
+    the bounds `density`, which the printer and the recipe allow. The compliance is that of all load cases, weighted.
+    Densities are means over a cone of at least the cell, and change by optimality criteria until they change by less
+    than 0.01, or five steps gain less than a thousandth. The result is the map `porosity` that `tile.scattered` and
+    `tile.graded` follow.
+
+    `deflection` is the displacement of the loads along themselves, in the mean over the loads: the compliance over the
+    total force, of all cases weighted.
+    """
+
+    name: ClassVar[str] = "optimize.density"
+    reported: ClassVar[tuple[str, ...]] = (
+        *LoadedPart.reported, "steps", "gain", "compliance", "mass", "relative_density", "maps.*",
+    )  # fmt: skip
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("gain", "stiffer than the uniform part, times"), Headline("compliance", "compliance", "N mm"),
+        Headline("mass", "mass", "g"), Headline("steps"),
+    )  # fmt: skip
+    advice: ClassVar[str] = "give larger elements, or fewer `updates`"
+
+    mass: float | None = option(None, help="mass of the part, skin included; needs `solid_density`", unit="g", above=0)
+    mean_density: float | None = option(
+        None, help="mean relative density of the part, skin included, in place of a mass", above=0, below=1
+    )
+    deflection: Length | None = option(
+        None, help="largest deflection, in place of a mass: the part is then made as light as that allows", unit="mm",
+        above=0,
+    )  # fmt: skip
+    filter: float = option(
+        1.0, help="radius of the cone over which densities are averaged; homogenization asks for a cell at least",
+        unit="cell size", minimum=1, maximum=20,
+    )  # fmt: skip
+    solid: tuple[str, ...] = option((), help="regions kept at the largest density, as in `load.case`: 'box ...'")
+    empty: tuple[str, ...] = option((), help="regions kept at the smallest density")
+    updates: int = option(60, help="maximum number of updates of the densities", minimum=1, maximum=500)
+    history: str | None = options.write_path(None, note="a picture of the densities every ten steps", suffixes=("/",))
+
+    def check_options(self) -> None:
+        """One target."""
+        super().check_options()
+        given = [name for name in ("mass", "mean_density", "deflection") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ConfigError(
+                f"one of `mass`, `mean_density` and `deflection` is the target, not {', '.join(given) or 'none'}"
+            )
+        if self.mass is not None and self.solid_density is None:
+            raise ConfigError("a `mass` needs the density of the solid", hint="give `solid_density: 1.18`")
+        for text in (*self.solid, *self.empty):
+            region_of(text, None)
+
+    def estimate(self, palette: Palette, cases: Size, part: Size, grading: Size | None, recipe: RecipeSize) -> Size:
+        return self.law_size(recipe)
+
+    def run(
+        self, context: Context, cases: LoadCases, part: SurfaceMesh, grading: Grading | None, recipe: Recipe
+    ) -> Grading:
+        """Measure the law, search, and make the map."""
+        before = Grading() if grading is None else grading
+        law, cell = self.law_of(context, recipe)
+        shared = self.elements_of(part, cell)
+        skin = self.skin_share(part, shared)
+        problem = Problem(self, law, shared, skin, cases)
+        bounds = self._bounds(part, shared)
+        design, history = self._search(context, problem, bounds, ConeFilter(
+            shared.body.solid, shared.body.edges, self.filter * cell
+        ))  # fmt: skip
+        context.report(
+            steps=len(history), gain=history[0] / history[-1], compliance=history[-1],
+            mass=problem.mass(design) if self.solid_density else None,
+            relative_density=problem.mass(design) / problem.full,
+        )  # fmt: skip
+        return before.added(_porosity_map(shared, design))
+
+    def _bounds(self, part: SurfaceMesh, shared: SharedBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bounds of the design variables (m,), with regions that are kept."""
+        middles = middles_of(shared)
+        low, high = (np.full(len(middles), bound) for bound in self.density)
+        for texts, side in ((self.solid, 1), (self.empty, 0)):
+            for text in texts:
+                region = region_of(text, part)
+                inside = region.distances(middles) <= (
+                    0.5 * max(shared.body.edges) if region.kind in ("plane", "triangles") else 0
+                )
+                if not inside.any():
+                    raise DesignError(f"no element lies in {text!r}", hint="is it in the same place and unit?")
+                low[inside] = high[inside] = self.density[side]
+        return low, high
+
+    def _search(
+        self, context: Context, problem: Problem, bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+        cone: ConeFilter,
+    ) -> tuple[NDArray[np.float64], list[float]]:  # fmt: skip
+        """Densities (m,), and the compliance of every step."""
+        target = self._mass_target(problem, bounds, cone)
+        design = self._uniform(problem, bounds, cone, target)
+        history = list[float]()
+        for step in range(self.updates + 1):
+            state = problem.solved(context, cone.mean(design))
+            history.append(state.compliance)
+            context.progress(step, self.updates, f"steps; compliance {state.compliance:.4g} N mm")
+            if self.history is not None and step % EVERY == 0:
+                self._draw(context, problem.shared, state.density, step)
+            if step == self.updates:
+                break
+            gain, cost = cone.back(state.gain), cone.back(problem.masses)
+            enough = self._enough(problem, cone, state, design, gain, target)
+            found = updated(design, gain, cost, bounds, enough)
+            design = found.design
+            settled = len(history) > SETTLED and history[-1 - SETTLED] < (1 + GAIN) * history[-1] and target is not None
+            if found.change < CHANGE or settled:
+                state = problem.solved(context, cone.mean(design))
+                history.append(state.compliance)
+                break
+        if target is None and history[-1] > 1.02 * self._compliance_target(problem):
+            raise DesignError(
+                f"the part bends by {history[-1] / problem.force:.4g} mm at the largest densities that are allowed",
+                hint="allow a larger `deflection`, denser cells, or a skin",
+            )
+        return cone.mean(design), history
+
+    def _enough(
+        self, problem: Problem, cone: ConeFilter, state: State, here: NDArray[np.float64], gain: NDArray[np.float64],
+        target: float | None,
+    ) -> Callable[[NDArray[np.float64]], bool]:  # fmt: skip
+        """Whether a design has the mass wanted, or is stiff enough, for `updated`."""
+        if target is not None:
+            return lambda made: problem.mass(cone.mean(made)) >= target
+        most = self._compliance_target(problem)
+        # reciprocal variables: the compliance of a bar scales with one over its section
+        return lambda made: state.compliance + float(gain @ (here**2 / made - here)) <= most
+
+    def _mass_target(
+        self, problem: Problem, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], cone: ConeFilter
+    ) -> float | None:
+        """The mass that is wanted; `DesignError` if no density that is allowed gives it."""
+        if self.deflection is not None:
+            return None
+        wanted = self.mass if self.mass is not None else float(self.mean_density or 0) * problem.full
+        low, high = (problem.mass(cone.mean(bound)) for bound in bounds)
+        if not low <= wanted <= high:
+            unit = "g" if self.solid_density else "cm3 of solid"
+            raise DesignError(
+                f"the part weighs {low:.4g} to {high:.4g} {unit} with densities from {self.density[0]:g} to "
+                f"{self.density[1]:g} and its skin, not {wanted:.4g}",
+                hint="change the target, `density`, or the skin",
+            )
+        return wanted
+
+    def _compliance_target(self, problem: Problem) -> float:
+        assert self.deflection is not None
+        return self.deflection.mm() * problem.force
+
+    def _uniform(
+        self, problem: Problem, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], cone: ConeFilter,
+        target: float | None,
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """The design to begin with: one density wherever regions allow it."""
+        low, high = self.density
+        if target is None:
+            return np.asarray(np.clip((low + high) / 2, *bounds))
+        for _ in range(60):
+            middle = (low + high) / 2
+            enough = problem.mass(cone.mean(np.clip(middle, *bounds))) >= target
+            low, high = (low, middle) if enough else (middle, high)
+        return np.asarray(np.clip(high, *bounds))
+
+    def _draw(self, context: Context, shared: SharedBody, density: NDArray[np.float64], step: int) -> None:
+        from PIL import Image
+
+        from sppm_pipeline.features.parts.pictures import density_picture
+
+        folder = context.output(str(self.history))
+        folder.mkdir(parents=True, exist_ok=True)
+        picture = density_picture(shared.body, density, self.density, f"step {step}")
+        Image.fromarray(picture).save(folder / f"step_{step:03}.png")
+
+
+class Problem:
+    """A homogenized part under its cases, as a function of its densities.
+
+    Parameters
+    ----------
+    stage : OptimizeDensity
+    law : DensityLaw
+    shared : SharedBody
+    skin : (m,)
+        Share of each element that is skin.
+    cases : LoadCases
+    dtype : float32 or float64
+        Of the solver.
+    """
+
+    def __init__(
+        self, stage: LoadedPart, law: DensityLaw, shared: SharedBody, skin: NDArray[np.float64], cases: LoadCases,
+        dtype: Any = np.float32,
+    ) -> None:  # fmt: skip
+        self.dtype = dtype
+        self.stage, self.law, self.shared, self.skin, self.cases = stage, law, shared, skin, cases
+        voxel = stage.voxel_mass(shared.body.edges)
+        share = shared.share[shared.body.solid].astype(np.float64)
+        self.bearing = np.ones(len(share))
+        self.masses = voxel * share * (1 - skin)
+        self.full = float(voxel * share.sum())
+        self._skin_mass = float(voxel * (share * skin).sum())
+        self._share = share
+        self._starts: dict[str, NDArray[Any]] = {}
+        self._ready: list[Prepared] = []
+        self.force = 1.0
+
+    def mass(self, density: NDArray[np.float64]) -> float:
+        """Of densities (m,), skin included."""
+        return float(self.masses @ density) + self._skin_mass
+
+    def solved(self, context: Context, density: NDArray[np.float64]) -> State:
+        """Compliance of densities (m,), and how much a unit of each lowers it."""
+        stage = self.stage
+        model = stage.model_of(self.shared, self.law, density, self.skin, self.bearing, self.dtype)
+        weightless = not any(any(case.gravity) for case in self.cases.cases)
+        if not self._ready or not weightless:
+            self._ready = [prepared(model, case, drop=False) for case in self.cases.cases]
+            self.force = sum(
+                one.case.weight * float(np.linalg.norm(one.applied.loads.sum(axis=(1, 2, 3)))) for one in self._ready
+            ) or 1.0  # fmt: skip
+        exact = self.dtype == np.float64  # forces themselves, of which the error of an energy is of second order
+        slope = self._share * (1 - self.skin) * self.bearing * self.law.slope_at(density)
+        compliance, gain = 0.0, np.zeros(len(density))
+        solver: HeldBody | None = None
+        last: NDArray[np.bool_] | None = None
+        for one in self._ready:
+            fixed = one.applied.fixed
+            if solver is None or last is None or not np.array_equal(last, fixed):
+                solver, last = model.held(one.body.solid, fixed, self.dtype), fixed
+            found = solver.solve(
+                one.applied.loads, one.applied.given, self._starts.get(one.case.name),
+                residual=stage.solver_tolerance if exact else 1e-6, energy=0.0 if exact else stage.solver_tolerance,
+                iterations=stage.iterations,
+            )  # fmt: skip
+            u = found.displacement
+            self._starts[one.case.name] = u
+            _, second = strains_of(u, one.body.solid, one.body.edges)
+            forces = solver.forces(u).astype(np.float64)
+            given = float(((forces - one.applied.loads) * one.applied.given).sum())
+            loads = float((one.applied.loads * u).sum(dtype=np.float64))
+            # a displacement that is given stores less energy in a softer part, a load more
+            compliance += one.case.weight * (loads - given)
+            gain += one.case.weight * (slope * second).sum(axis=0)
+            if any(one.case.gravity):
+                gain -= one.case.weight * self._weight_gain(one, u)
+        return State(density, compliance, gain)
+
+    def _weight_gain(self, one: Prepared, u: NDArray[Any]) -> NDArray[np.float64]:
+        """By how much a unit of density raises the work of its own weight, twice: it is load and displaced by it."""
+        solid = one.body.solid
+        nz, ny, nx = solid.shape
+        mean = np.zeros((3, nz, ny, nx))
+        for a in range(8):
+            mean += u[:, (a >> 2) : nz + (a >> 2), (a >> 1 & 1) : ny + (a >> 1 & 1), (a & 1) : nx + (a & 1)] / 8
+        pulled = np.tensordot(np.array(one.case.gravity), mean, 1)[solid]
+        return np.asarray(2e-3 * self.masses * pulled)
+
+
+def _porosity_map(shared: SharedBody, density: NDArray[np.float64]) -> ImageLaw:
+    """The map of porosity; outside of the part it goes on as in the nearest element."""
+    from scipy.ndimage import distance_transform_edt
+
+    solid = shared.body.solid
+    values = np.zeros(solid.shape)
+    values[solid] = 1 - density
+    nearest = distance_transform_edt(~solid, return_distances=False, return_indices=True)
+    filled = np.ascontiguousarray(values[tuple(nearest)].T)
+    return ImageLaw("porosity", "", "nearest", filled, shared.body.origin, shared.body.edges, 1.0)

@@ -1,0 +1,270 @@
+"""Where a part is held and what pulls at it: regions, conditions and load cases, for any physics of a part."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.length import UNITS_IN_MM
+
+AXES = "xyz"
+FORMS = (
+    "'plane z at 0 mm' (or 'at low', 'at high': the ends of the part), 'box 0 0 0 to 10 10 5 mm', 'sphere 0 0 5 radius "
+    "3 mm', 'cylinder z at 12 0 radius 4 mm' (and 'from 0 to 10'), 'group NAME' of a mesh, 'near' the other mesh, or "
+    "'surface', all of it"
+)
+"""What a region may be, for messages."""
+
+UNITS = {"force": {"N": 1.0, "kN": 1e3}, "pressure": {"MPa": 1.0, "kPa": 1e-3, "bar": 0.1}, "displacement": UNITS_IN_MM}
+"""Units of conditions, in N, MPa and mm."""
+
+
+class Region(NamedTuple):
+    """A piece of space that selects what lies in it, or within a tolerance of it.
+
+    Attributes
+    ----------
+    kind : {"plane", "box", "sphere", "cylinder", "triangles", "surface"}
+    numbers : tuple of float
+        Place of a plane; low and high corner; center and radius; center across the axis, radius and both ends; mm.
+    axis : int
+        Of a plane or cylinder.
+    text : str
+        As it was written.
+    triangles : (n, 3, 3) float64
+        Corners, mm, of the region "triangles".
+    """
+
+    kind: str
+    numbers: tuple[float, ...] = ()
+    axis: int = 0
+    text: str = ""
+    triangles: NDArray[np.float64] = np.zeros((0, 3, 3))
+
+    def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distances (n,) of points (n, 3), mm, from it; 0 inside."""
+        n, p = self.numbers, points
+        if self.kind == "surface":
+            return np.zeros(len(p))
+        if self.kind == "plane":
+            return np.asarray(np.abs(p[:, self.axis] - n[0]))
+        if self.kind == "box":
+            beyond = np.maximum(np.maximum(np.array(n[:3]) - p, p - np.array(n[3:])), 0)
+            return np.asarray(np.linalg.norm(beyond, axis=1))
+        if self.kind == "sphere":
+            return np.asarray(np.maximum(np.linalg.norm(p - np.array(n[:3]), axis=1) - n[3], 0))
+        if self.kind == "cylinder":
+            across = np.delete(p, self.axis, axis=1) - np.array(n[:2])
+            along = p[:, self.axis]
+            outside = np.maximum(np.linalg.norm(across, axis=1) - n[2], 0)
+            return np.asarray(np.hypot(outside, np.maximum(np.maximum(n[3] - along, along - n[4]), 0)))
+        from sppm_pipeline.services.mesh.box_tree import box_tree
+        from sppm_pipeline.services.nearest import surface_distances
+
+        return surface_distances(box_tree(self.triangles), p)
+
+
+class Condition(NamedTuple):
+    """What happens in a region.
+
+    Attributes
+    ----------
+    kind : {"displacement", "force", "pressure"}
+    region : Region
+    values : tuple of 3 floats or None, or of one
+        Displacement along x, y, z, mm, None where it is free; total force, N; pressure, MPa.
+    """
+
+    kind: str
+    region: Region
+    values: tuple[float | None, ...]
+
+
+class LoadCase(NamedTuple):
+    """Conditions that hold together."""
+
+    name: str
+    weight: float
+    conditions: tuple[Condition, ...]
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m/s2
+
+    @property
+    def held(self) -> tuple[Condition, ...]:
+        """Those that hold it."""
+        return tuple(one for one in self.conditions if one.kind == "displacement")
+
+
+@dataclass(frozen=True, eq=False)
+class LoadCases(Artifact):
+    """Load cases of a part, in the coordinates of its mesh."""
+
+    reported: ClassVar[tuple[str, ...]] = ("cases",)
+
+    cases: tuple[LoadCase, ...]
+
+    def check(self) -> None:
+        """Names that differ, weights above zero."""
+        names = [case.name for case in self.cases]
+        if len(set(names)) < len(names) or not names or not all(case.weight > 0 for case in self.cases):
+            raise ValueError(f"load cases need different names and positive weights, got {names}")
+
+    def summary(self) -> dict[str, Any]:
+        """Names of the cases and of what is in them."""
+        return {
+            "cases": len(self.cases),
+            "conditions": {case.name: [f"{one.kind} on {one.region.text}" for one in case.conditions] for case in
+                           self.cases},
+        }  # fmt: skip
+
+
+class _Words:
+    """A text taken word by word; `ConfigError` names what was expected."""
+
+    def __init__(self, text: str, words: list[str]) -> None:
+        self.text, self.words = text, words
+
+    def refuse(self, expected: str) -> ConfigError:
+        found = f"{self.words[0][:40]!r}" if self.words else "the end"
+        return ConfigError(f"{self.text[:100]!r}: expected {expected}, got {found}", hint=f"a region is {FORMS}")
+
+    def next_is(self, *allowed: str) -> str | None:
+        return self.words.pop(0) if self.words and self.words[0] in allowed else None
+
+    def take(self, *allowed: str) -> str:
+        if (word := self.next_is(*allowed)) is None:
+            raise self.refuse(" or ".join(map(repr, allowed)))
+        return word
+
+    def numbers(self, count: int) -> list[float]:
+        """Lengths, mm; a unit holds for all numbers before it that have none."""
+        found = list[float]()
+        for _ in range(count):
+            try:
+                number = float(self.words[0])
+            except (ValueError, IndexError):
+                raise self.refuse("a number") from None
+            if not math.isfinite(number):
+                raise self.refuse("a finite number")
+            self.words.pop(0)
+            found.append(number * UNITS_IN_MM[next((word for word in self.words if word in UNITS_IN_MM), "mm")])
+            self.next_is(*UNITS_IN_MM)
+        return found
+
+    def done(self) -> None:
+        if self.words:
+            raise self.refuse("nothing more")
+
+
+def region_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None) -> Region:
+    """The region that a text describes, at the mesh of a part; without one the text alone is checked.
+
+    Raises
+    ------
+    ConfigError
+        If it describes none.
+    """
+    words = _Words(text, text.split())
+    kind = words.take("plane", "box", "sphere", "cylinder", "group", "near", "surface")
+    axis = 0
+    numbers: list[float] = []
+    triangles = np.zeros((0, 3, 3))
+    low, high = (np.zeros(3), np.zeros(3)) if part is None else (part.lower, part.upper)
+    if kind == "plane":
+        axis = AXES.index(words.take(*AXES))
+        words.take("at")
+        end = words.next_is("low", "high")
+        numbers = words.numbers(1) if end is None else [float((low if end == "low" else high)[axis])]
+    elif kind == "box":
+        corner = words.numbers(3)
+        words.take("to")
+        other = words.numbers(3)
+        numbers = [*map(min, corner, other), *map(max, corner, other)]
+    elif kind == "sphere":
+        numbers = words.numbers(3)
+        words.take("radius")
+        numbers += words.numbers(1)
+    elif kind == "cylinder":
+        axis = AXES.index(words.take(*AXES))
+        words.take("at")
+        numbers = words.numbers(2)
+        words.take("radius")
+        numbers += words.numbers(1)
+        ends = [-math.inf, math.inf]
+        if words.next_is("from"):
+            ends = words.numbers(1)
+            words.take("to")
+            ends += words.numbers(1)
+        numbers += sorted(ends)
+    elif kind == "group":
+        name = " ".join(words.words)
+        words.words = []
+        groups = () if part is None else part.groups
+        chosen = [range(first, last) for group, first, last in groups if group == name]
+        if part is not None:
+            if not chosen:
+                known = ", ".join(sorted({group for group, _, _ in groups})[:20])
+                raise ConfigError(
+                    f"the mesh {part.name!r} has no group {name[:60]!r}", hint=f"it has {known or 'no groups at all'}"
+                )
+            triangles = part.vertices[part.faces[np.concatenate([np.array(one) for one in chosen])]]
+    elif kind == "near" and part is not None:
+        if near is None:
+            raise ConfigError(
+                f"{text!r} needs another mesh", hint="write `from: {near: id}` of the stage that reads it"
+            )
+        triangles = near.vertices[near.faces]
+    words.done()
+    return Region("triangles" if kind in ("group", "near") else kind, tuple(numbers), axis, text, triangles)
+
+
+def held_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None, *, normal: bool = False) -> Condition:
+    """What ``"plane z at 0 mm"`` or ``"x y on plane z at 0 mm"`` holds; of a plane of symmetry its normal."""
+    before, _, after = text.rpartition(" on ")
+    axes = before.split()
+    if any(axis not in AXES for axis in axes):
+        raise ConfigError(
+            f"{text[:100]!r} holds along {before[:40]!r}", hint="write for example 'x y on plane z at 0 mm'"
+        )
+    region = region_of(after, part, near)
+    if normal:
+        if region.kind != "plane" or axes:
+            raise ConfigError(f"{text[:100]!r} is no plane of symmetry", hint="write for example 'plane x at 0 mm'")
+        axes = [AXES[region.axis]]
+    return Condition("displacement", region, tuple(0.0 if not axes or one in axes else None for one in AXES))
+
+
+def condition_of(kind: str, text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None) -> Condition:
+    """A force, pressure or displacement such as ``"0 0 -200 N on plane z at high"``.
+
+    Raises
+    ------
+    ConfigError
+        If it is none.
+    """
+    example = {"force": "0 0 -200 N", "pressure": "0.2 MPa", "displacement": "free free -1 mm"}[kind]
+    before, _, after = text.partition(" on ")
+    *numbers, unit = before.split() or [""]
+    if unit not in UNITS[kind] or len(numbers) != (1 if kind == "pressure" else 3) or not after:
+        raise ConfigError(
+            f"{text[:100]!r} is no {kind}",
+            hint=f"write for example '{example} on plane z at high'; units are {', '.join(UNITS[kind])}",
+        )
+    values: list[float | None] = []
+    for word in numbers:
+        try:
+            value = None if word == "free" and kind == "displacement" else UNITS[kind][unit] * float(word)
+        except ValueError:
+            value = math.nan
+        if value is not None and not math.isfinite(value):
+            raise ConfigError(
+                f"{word[:40]!r} in {text[:100]!r} is no number", hint=f"write for example '{example} on ...'"
+            )
+        values.append(value)
+    return Condition(kind, region_of(after, part, near), tuple(values))

@@ -1,0 +1,343 @@
+"""A body of voxels that is held somewhere and loaded: displacements, reactions, and the strains that they make.
+
+The grids have open ends, so that sides of the body never meet, and nodes that are held are left out on all of them: a
+node of a coarse grid is held if any node that it is interpolated to is. Bricks are those of `elastic_operator`.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.elastic.elastic_level import (
+    ElasticLevel,
+    Moduli,
+    coefficients,
+    largest_eigenvalue,
+)
+from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
+from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, coarser, node_sums, padded
+from sppm_pipeline.services.multigrid.rows import APPLY
+from sppm_pipeline.services.multigrid.solver import Solved, Stop, solve
+from sppm_pipeline.services.multigrid.transfer import NodalTransfer, coarsened
+
+UPPER = np.triu_indices(6)
+"""Rows and columns of the 21 constants of a stiffness."""
+
+_RESTARTS = 4
+"""Times that the iteration begins again from the true residual, which rounding drives away from the updated one."""
+
+_SAMPLED = 64
+"""Voxels of different stiffness whose largest eigenvalue is looked for; it hardly varies along a smooth law."""
+
+_MARGIN = 1.05
+"""Factor of the largest of those."""
+
+
+def packed(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The 21 constants (21, ...) of stiffness matrices (..., 6, 6)."""
+    return np.moveaxis(matrices[..., UPPER[0], UPPER[1]], -1, 0)
+
+
+def unpacked(constants: NDArray[Any]) -> NDArray[np.float64]:
+    """Stiffness matrices (..., 6, 6) of their 21 constants (21, ...)."""
+    made = np.empty((*constants.shape[1:], 6, 6))
+    made[..., UPPER[0], UPPER[1]] = made[..., UPPER[1], UPPER[0]] = np.moveaxis(constants, 0, -1)
+    return made
+
+
+class GeneralLevel(ElasticLevel):
+    """A grid of voxels of any stiffness.
+
+    Parameters
+    ----------
+    constants : (21, nz, ny, nx) float
+        Voigt order xx, yy, zz, yz, xz, xy, engineering shear strains; 0 in the void.
+    edges : (hx, hy, hz)
+    dtype : float32 or float64
+    """
+
+    def __init__(self, constants: NDArray[Any], edges: tuple[float, float, float], dtype: Any) -> None:
+        _, nz, ny, nx = constants.shape
+        self.shape, self.edges, self.ratio = (nz, ny, nx), edges, 1.0
+        self.lam = np.concatenate([padded(one, dtype) for one in constants])
+        self.mu = self.lam[: len(self.lam) // 21]  # only its length counts
+        self.c = coefficients(edges).astype(dtype)
+        self.size = np.array([nx, ny, nz], np.int64)
+        self.weight = np.zeros(nx * ny * nz, dtype)
+        self.held, self.first = np.zeros(0, np.int32), np.zeros(nz + 1, np.int64)
+        g = self.c[:3].astype(np.float64) ** 2
+        pull = [sum(g[d] * constants[k] for d, k in enumerate(row)) for row in ((0, 20, 18), (20, 6, 15), (18, 15, 11))]
+        self._diagonal = node_sums(np.asarray(16 / 27 * sum(pull), dtype)).reshape(-1)
+
+    @property
+    def diagonal(self) -> NDArray[Any]:
+        return self._diagonal
+
+
+def brick_strains(edges: tuple[float, float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Strains (7, 6, 24) of the monomials 1, ξ, η, ζ, ξη, ξζ, ηζ of a brick, and the weights (7,) of their squares.
+
+    Displacements are those of corners i + 2 j + 4 k, x, y, z of each; strains are not scaled, weights hold the volume.
+    """
+    corners = np.array([[(a >> d & 1) * 2 - 1 for d in range(3)] for a in range(8)], np.float64)
+    powers: list[tuple[int, ...]] = [
+        (0, 0, 0),
+        (1, 0, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (1, 1, 0),
+        (1, 0, 1),
+        (0, 1, 1),
+        (1, 1, 1),
+    ]
+    h = np.array(edges, np.float64)
+    # coefficient of each monomial from the corners
+    modes = np.array([np.prod(corners**p, axis=1) / 8 for p in powers])
+    found = np.zeros((7, 6, 8, 3))
+    shear = {(1, 2): 3, (0, 2): 4, (0, 1): 5}
+    for number, power in enumerate(powers):
+        for d in range(3):
+            if not power[d]:
+                continue
+            left = tuple(p - (k == d) for k, p in enumerate(power))
+            slope = 2 / h[d] * modes[number]
+            for c in range(3):  # derivative along d of the displacement along c
+                row = c if c == d else shear[(min(c, d), max(c, d))]
+                found[powers.index(left), row][:, c] += slope
+    weights = h.prod() / 3.0 ** np.array([0, 1, 1, 1, 2, 2, 2])
+    return found.reshape(7, 6, 24), weights
+
+
+def largest_of(constants: NDArray[Any], edges: tuple[float, float, float]) -> float:
+    """The largest eigenvalue of bricks with these constants (21, m) over their mean diagonal."""
+    strains, weights = brick_strains(edges)
+    matrices = np.einsum("m,mai,nab,mbj->nij", weights, strains, unpacked(constants), strains, optimize=True)
+    diagonal = np.trace(matrices, axis1=1, axis2=2) / 24
+    return float((np.linalg.eigvalsh(matrices)[:, -1] / diagonal).max())
+
+
+def _held_below(fixed: NDArray[np.bool_], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Which displacements (3, nz, ny, nx) of the next grid are held: those that reach one that is."""
+    for axis, (n, m) in enumerate(zip(fixed.shape[1:], shape, strict=True), 1):
+        if n == m:
+            continue
+        along = np.moveaxis(fixed, axis, 0)
+        even, odd = along[0::2], along[1::2]
+        coarse = np.zeros((m, *along.shape[1:]), bool)
+        coarse[: len(even)] |= even
+        coarse[: len(odd)] |= odd
+        coarse[1 : len(odd) + 1] |= odd
+        fixed = np.moveaxis(coarse, 0, axis)
+    return np.ascontiguousarray(fixed)
+
+
+class Loaded(NamedTuple):
+    """Displacements (3, nz + 1, ny + 1, nx + 1) of a body of nz, ny, nx voxels, and how they were found."""
+
+    displacement: NDArray[Any]
+    solved: Solved
+
+
+class HeldBody:
+    """A body of voxels held at some of its nodes.
+
+    Parameters
+    ----------
+    moduli : Moduli, or (21, nz, ny, nx) float
+        Of its voxels; 0 in the void.
+    edges : (hx, hy, hz)
+        Of a voxel.
+    fixed : (3, nz + 1, ny + 1, nx + 1) bool
+        Displacements that are given. Each piece of the solid must be held, or else loads on it have no answer.
+    dtype : float32 or float64
+    """
+
+    def __init__(
+        self, moduli: Moduli | NDArray[Any], edges: tuple[float, float, float], fixed: NDArray[np.bool_], dtype: Any
+    ) -> None:
+        def with_margin(values: NDArray[Any]) -> NDArray[Any]:
+            return np.pad(values, [(0, 0)] * (values.ndim - 3) + [(0, 1)] * 3)
+
+        self.fixed = fixed
+        general = not isinstance(moduli, Moduli)
+        given: Any = with_margin(moduli) if general else moduli.each(with_margin)  # type: ignore[arg-type,union-attr]
+        samples = np.zeros((21, 0))
+        if general:
+            flat = given.reshape(21, -1)
+            solid = np.flatnonzero(flat[0])
+            samples = flat[:, solid[:: max(1, len(solid) // _SAMPLED)]].astype(np.float64)
+        make: Any = GeneralLevel if general else ElasticLevel
+        levels: list[Any] = [make(given, edges, dtype)]
+        levels[0].hold(fixed)
+        bound = _MARGIN * largest_of(samples, edges) if general else largest_eigenvalue(given, edges)
+        held = fixed
+        while (shape := coarser(levels[-1].shape, edges, open_ends=True)) is not None:
+            fine = levels[-1].shape
+            x, y, z = (h if n == m else 2 * h for h, n, m in zip(edges, fine[::-1], shape[::-1], strict=True))
+            edges = (x, y, z)
+
+            def mean(values: NDArray[Any], shape: tuple[int, int, int] = shape) -> NDArray[Any]:
+                return coarsened(values, shape, open_ends=True)
+
+            given = np.stack([mean(one) for one in given]) if general else given.each(mean)
+            held = _held_below(held, shape)
+            levels.append(make(given, edges, dtype))
+            levels[-1].hold(held)
+            bound = max(bound, _MARGIN * largest_of(samples, edges) if general else largest_eigenvalue(given, edges))
+        transfers = [NodalTransfer.between(a.shape, b.shape, open_ends=True) for a, b in pairwise(levels)]
+        self.hierarchy = Hierarchy.of(levels, SCRATCH_ROWS, bound, transfers=transfers, twice=False, planar=True)
+        self._work = self.hierarchy.workspace()
+        self._free = copy(levels[0])
+        self._free.hold(np.zeros_like(fixed))
+
+    def forces(self, u: NDArray[Any]) -> NDArray[Any]:
+        """Nodal forces of displacements, those held included: less the loads they are the reactions."""
+        out = np.empty(u.size, self._free.c.dtype)
+        v = np.ascontiguousarray(u.reshape(-1), out.dtype)
+        self._free.apply(APPLY, v, v, out, self._work)
+        return out.reshape(u.shape)
+
+    def solve(
+        self,
+        loads: NDArray[Any],
+        given: NDArray[Any] | None = None,
+        start: NDArray[Any] | None = None,
+        *,
+        residual: float = 1e-6,
+        energy: float = 0.0,
+        iterations: int = 1000,
+    ) -> Loaded:
+        """Displacements under nodal forces.
+
+        Parameters
+        ----------
+        loads : (3, nz + 1, ny + 1, nx + 1)
+            Nodal forces.
+        given : the same shape, optional
+            Displacements where they are held; zero if omitted.
+        start : the same shape, optional
+            A guess, such as the solution for a body of nearly the same stiffness.
+        residual : float
+            Part of the loads, and of what given displacements cause, that may be left over.
+        energy : float
+            ... or estimated relative error of the energy that the iteration gains.
+        iterations : int
+            Of all restarts together.
+
+        Raises
+        ------
+        ArithmeticError
+            If the preconditioner breaks down, as rounding makes it where nothing holds a piece.
+        """
+        dtype = self._free.c.dtype
+        u = np.zeros(loads.size, dtype) if start is None else np.array(start.reshape(-1), dtype)
+        fixed = self.fixed.reshape(-1)
+        u[fixed] = 0 if given is None else given.reshape(-1)[fixed]
+        b, step, p = (np.empty(loads.size, dtype) for _ in range(3))
+
+        def left_over() -> float:
+            self._free.apply(APPLY, u, u, b, self._work)
+            np.subtract(loads.reshape(-1), b, out=b, casting="same_kind")
+            b[fixed] = 0
+            return float(np.linalg.norm(b.astype(np.float64, copy=False)))
+
+        if start is None:
+            whole = first = left_over()
+        else:  # measured against what there is without the guess
+            kept = np.where(fixed, u, 0).astype(dtype)
+            u, kept = kept, u
+            whole = left_over()
+            u = kept
+            first = left_over()
+        done, error, converged = 0, np.inf, whole == 0 or first <= residual * whole
+        for _ in range(_RESTARTS):
+            if converged or done >= iterations:
+                break
+            stop = Stop(residual * whole / first, energy, iterations - done)
+            found = solve(self.hierarchy, b, step, p, self._work, stop, 0.0, 1e-300)
+            done += found.iterations
+            if not found.definite:
+                raise ArithmeticError("the preconditioner is not positive definite")
+            u += step
+            error, last, first = found.error, first, left_over()
+            converged = first <= residual * whole or 0 < energy >= error
+            if first > 0.5 * last:  # rounding
+                break
+        part = first / whole if whole else 0.0
+        return Loaded(u.reshape(loads.shape), Solved(done, part, 0.0, float(error), bool(converged), True))
+
+
+@jit
+def _mean_and_second(
+    u: NDArray[Any], solid: NDArray[np.bool_], strains: NDArray[np.float64], weights: NDArray[np.float64],
+    mean: NDArray[np.float64], second: NDArray[np.float64],
+) -> None:  # fmt: skip
+    nz, ny, nx = solid.shape
+    v, e = np.empty(24), np.empty(6)
+    at = 0
+    for k in range(nz):
+        for j in range(ny):
+            for i in range(nx):
+                if not solid[k, j, i]:
+                    continue
+                for a in range(8):
+                    for c in range(3):
+                        v[3 * a + c] = u[c, k + (a >> 2), j + (a >> 1 & 1), i + (a & 1)]
+                for m in range(7):
+                    for r in range(6):
+                        e[r] = 0.0
+                        for n in range(24):
+                            e[r] += strains[m, r, n] * v[n]
+                        if m == 0:
+                            mean[r, at] = e[r]
+                    q = 0
+                    for r in range(6):
+                        for t in range(r, 6):
+                            second[q, at] += weights[m] * e[r] * e[t] * (1.0 if r == t else 2.0)
+                            q += 1
+                at += 1
+
+
+def strains_of(
+    u: NDArray[Any], solid: NDArray[np.bool_], edges: tuple[float, float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean strains (6, m) of the solid voxels, in C order of (z, y, x), and what their energy is linear in, (21, m).
+
+    Twice the energy of a voxel is the sum of the products of its 21 constants with the latter, so that these are also
+    the derivatives of twice the energy by the constants, at fixed displacements.
+    """
+    count = int(np.count_nonzero(solid))
+    mean, second = np.empty((6, count)), np.zeros((21, count))
+    _mean_and_second(u, solid, *brick_strains(edges), mean, second)
+    return mean, second
+
+
+@jit
+def von_mises(u: NDArray[Any], mu: NDArray[Any], edges: NDArray[np.float64], out: NDArray[np.float32]) -> None:
+    """Von Mises stress of the mean strain of isotropic voxels (nz, ny, nx), from their shear moduli."""
+    nz, ny, nx = mu.shape
+    g = np.empty((3, 3))
+    for k in range(nz):
+        for j in range(ny):
+            for i in range(nx):
+                if mu[k, j, i] == 0:
+                    out[k, j, i] = 0
+                    continue
+                for c in range(3):
+                    for d in range(3):
+                        g[c, d] = 0.0
+                    for a in range(8):
+                        value = np.float64(u[c, k + (a >> 2), j + (a >> 1 & 1), i + (a & 1)])
+                        for d in range(3):
+                            g[c, d] += value if a >> d & 1 else -value
+                    for d in range(3):
+                        g[c, d] /= 4 * edges[d]
+                normal = (g[0, 0] - g[1, 1]) ** 2 + (g[1, 1] - g[2, 2]) ** 2 + (g[2, 2] - g[0, 0]) ** 2
+                shear = (g[0, 1] + g[1, 0]) ** 2 + (g[0, 2] + g[2, 0]) ** 2 + (g[1, 2] + g[2, 1]) ** 2
+                out[k, j, i] = 2 * mu[k, j, i] * np.sqrt(0.5 * normal + 0.75 * shear)

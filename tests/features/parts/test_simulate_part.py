@@ -1,0 +1,180 @@
+"""Simulated parts: resolved against homogenized, numbers that must balance, files, and what is refused."""
+
+from dataclasses import dataclass
+
+import meshio
+import numpy as np
+import pytest
+from PIL import Image
+
+from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
+from sppm_pipeline.features.parts.bodies import field_body
+from sppm_pipeline.features.parts.numerics.voxel_body import VoxelBody
+from sppm_pipeline.features.parts.solving import Model, simulated
+from sppm_pipeline.features.parts.stages.load_case import AddLoadCase
+from sppm_pipeline.features.parts.stages.simulate_part import SimulatePart
+from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
+from sppm_pipeline.method.fields.formula import FormulaField
+from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.part.primitive_meshes import box_mesh
+from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.services.elastic.loaded import packed
+from sppm_pipeline.services.elastic.voigt import lame
+from sppm_pipeline.testing.plain_context import PlainContext
+
+YOUNG, POISSON, CELL = 1000.0, 0.3, 2.0
+SIZE = np.array([8.0, 4.0, 4.0])
+BLOCK = SurfaceMesh(*box_mesh(SIZE / 2, SIZE))
+LAM, MU = lame(YOUNG, POISSON)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame(FormulaField):
+    """Bars along x, y and z, half as wide as the cell, which meet in its middle."""
+
+    def evaluate(self, x, y, z):
+        x, y, z = (np.abs(v % 1 - 0.5) for v in (x, y, z))
+        return np.minimum(np.minimum(np.maximum(x, y), np.maximum(y, z)), np.maximum(z, x)) - 0.3
+
+
+@pytest.fixture(scope="module")
+def part():
+    return Part(Frame(edge=CELL, region=(4, 2, 2)), BLOCK)
+
+
+def loaded(*forces, block=BLOCK):
+    cases = None
+    for number, text in enumerate(forces):
+        stage = AddLoadCase(case=f"case {number}", force=(text,), fix=("plane x at low",))
+        stage.check_options()
+        cases = stage.run(PlainContext(), block, cases)
+    return cases
+
+
+def run(stage, *args, directory=None):
+    stage.check_options()
+    context = PlainContext(directory=directory)
+    made = stage.run(context, *args)
+    made.check()
+    return made, context
+
+
+def resolved(cells, n):
+    """A beam of cells, and the stiffness of one of them on the same voxels."""
+    shared = field_body(Frame(edge=CELL, region=cells), n, 1, binary=False)
+    bears = stiff_share(shared.share)
+    cell = (MU * bears[:n, :n, :n]).astype(np.float64)
+    found = stiffness(cell * LAM / MU, cell, tolerance=1e-6).stiffness
+    body = shared.body._replace(solid=bears > 0)
+    return Model(body, (bears * MU).astype(np.float32), LAM / MU, shared.share), found
+
+
+def solve(model, cases):
+    return simulated(
+        PlainContext(), model, cases, drop=True, tolerance=1e-6, iterations=500, yield_stress=None, has_mass=True
+    )[0]
+
+
+def test_resolved_and_homogenized_beams_agree():
+    """The full stiffness of a cell, elements of a quarter cell: within 10 % in pull, and in bending from four cells
+    across on; the gap of thinner beams, whose bars lie nearer to the middle than a continuum would, falls."""
+    gaps = []
+    for across in (2, 3, 4):
+        cells = (2 * across, across, across)
+        size = CELL * np.array(cells)
+        model, constants = resolved(cells, 8)
+        forces = "3 0 0 N on plane x at high", "0 0 -1 N on plane x at high"
+        cases = loaded(*forces, block=SurfaceMesh(*box_mesh(size / 2, size)))
+        fine = solve(model, cases)
+        h = CELL / 4
+        nx, ny, nz = (size / h).astype(int)
+        body = VoxelBody(np.ones((nz, ny, nx), bool), (h, h, h), (0.0, 0.0, 0.0))
+        same = np.broadcast_to(packed(constants)[:, None, None, None], (21, nz, ny, nx)).astype(np.float32)
+        ones = np.ones((nz, ny, nx), np.float32)
+        coarse = solve(Model(body, same, 1.0, ones, ones), cases)
+        pull, bend = (fine.cases[name]["compliance"] / coarse.cases[name]["compliance"] - 1 for name in fine.cases)
+        assert abs(pull) < 0.1
+        gaps.append(bend)
+        for name in fine.cases:
+            assert fine.cases[name]["reaction"] == pytest.approx(coarse.cases[name]["reaction"], abs=0.01)
+    assert 0.25 > gaps[0] > gaps[1] > gaps[2] > 0
+    assert gaps[2] < 0.1
+
+
+def test_a_resolved_part_balances_and_is_written(part, tmp_path):
+    cases = loaded("3 0 0 N on plane x at high", "0 0 -1 N on plane x at high")
+    stage = SimulatePart(
+        resolution=8, young=YOUNG, poisson=POISSON, solid_density=2.0, yield_stress=50.0, mesh="part.vtu",
+        deformed="part.png", image_size=(200, 160),
+    )  # fmt: skip
+    made, context = run(stage, cases, part, BLOCK, None, directory=tmp_path)
+    assert made.way == "resolved"
+    assert made.cases["case 0"]["reaction"] == pytest.approx([-3, 0, 0], abs=0.01)
+    assert made.cases["case 1"]["reaction"] == pytest.approx([0, 0, 1], abs=0.01)
+    share = float((Frame().sample(40) < 0).mean())
+    assert made.mass == pytest.approx(2.0 * 0.128 * share, rel=0.02)
+    assert made.safety == pytest.approx(50 / made.stress)
+    assert made.compliance == pytest.approx(sum(one["compliance"] for one in made.cases.values()))
+    assert not context.warnings
+    mesh = meshio.read(tmp_path / "part.vtu")
+    assert len(mesh.cells[0].data) == made.elements
+    moved = np.abs(mesh.cell_data["displacement x case 0"][0])
+    assert 0.9 * made.cases["case 0"]["deflection"] < moved.max() < 1.1 * made.cases["case 0"]["deflection"]
+    with Image.open(tmp_path / "part.png") as picture:
+        assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 20
+    assert made.picture().shape[2] == 3
+    assert made.live_view().faces.max() < len(made.points)
+
+
+def test_a_solid_block_is_pulled_as_a_bar():
+    """Without contraction the compliance of a bar is L / (E A), resolved and homogenized."""
+    solid = Part(
+        type("Solid", (Frame,), {"evaluate": lambda self, x, y, z: np.full(1, -1.0)})(edge=CELL, region=(4, 2, 2)),
+        BLOCK,
+    )
+    made, _ = run(
+        SimulatePart(resolution=4, young=YOUNG, poisson=0.0), loaded("3 0 0 N on plane x at high"), solid, None, None
+    )
+    assert made.compliance == pytest.approx(9 * 8 / (YOUNG * 16), rel=1e-3)
+    assert made.stress == pytest.approx(3 / 16, rel=0.01)
+    assert made.mass is None
+    assert made.safety is None
+
+
+def test_wrong_units_and_missing_inputs_are_refused(part):
+    stage = SimulatePart(resolution=4, young=YOUNG)
+    with pytest.raises(DesignError, match="are forces in N"):
+        run(stage, loaded("1e9 0 0 N on plane x at high"), part, BLOCK, None)
+    with pytest.raises(ConfigError, match="neither a structure nor a `recipe`"):
+        run(stage, loaded("1 0 0 N on plane x at high"), None, BLOCK, None)
+    _, context = run(stage, loaded("20 0 -50 N on plane x at high"), part, BLOCK, None)
+    assert any("linear elasticity" in text for text in context.warnings)
+
+
+def test_cases_follow_each_other():
+    first = AddLoadCase(case="down", fix=("plane x at low",), force=("0 0 -1 N on plane x at high",))
+    second = AddLoadCase(case="up", weight=2.0, force=("0 0 1 N on plane x at high",))
+    cases = second.run(PlainContext(), BLOCK, first.run(PlainContext(), BLOCK, None))
+    cases.check()
+    assert [case.name for case in cases.cases] == ["down", "up"]
+    assert cases.cases[1].held == cases.cases[0].held
+    with pytest.raises(ConfigError, match="two cases 'down'"):
+        first.run(PlainContext(), BLOCK, cases)
+    with pytest.raises(ConfigError, match="has no load"):
+        AddLoadCase(fix=("plane x at low",)).check_options()
+    with pytest.raises(DesignError, match="nothing keeps the part"):
+        second.run(PlainContext(), BLOCK, None)
+
+
+def test_conditions_are_drawn(tmp_path):
+    stage = AddLoadCase(
+        fix=("plane z at low",), force=("0 0 -1 N on plane x at high",), pressure=("1 MPa on plane z at high",),
+        path="conditions.png", image_size=(300, 240),
+    )  # fmt: skip
+    stage.run(PlainContext(directory=tmp_path), BLOCK, None)
+    with Image.open(tmp_path / "conditions.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
+    red = (pixels[:, 0] > 120) & (pixels[:, 1] < 70)
+    orange = (pixels[:, 0] > 180) & (np.abs(pixels[:, 1] - 145) < 60) & (pixels[:, 2] < 90)
+    assert red.sum() > 500
+    assert orange.sum() > 500
