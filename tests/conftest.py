@@ -187,7 +187,7 @@ def _run_in(
 
 def _numbers_are_declared(plan, record):
     """What a stage reports is what it declares; else columns that there are would be refused before a sweep."""
-    from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
+    from sppm_pipeline.engine.plan.checking import declared_numbers, is_declared
     from sppm_pipeline.engine.run.sweep_table import numbers_of
 
     for step, stage in zip(plan.steps, record["stages"], strict=True):

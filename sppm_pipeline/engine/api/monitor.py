@@ -37,7 +37,6 @@ class WarningMonitor(Monitor):
         self._registry = frame.f_globals.setdefault("__warningregistry__", {})
 
     def warning(self, stage: str | None, message: str) -> None:
-        """See `Monitor.warning`."""
         text = f"{stage}: {message}" if stage else message
         warnings.warn_explicit(text, SppmWarning, self._file, self._line, self._module, self._registry)
 

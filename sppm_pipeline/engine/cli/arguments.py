@@ -217,7 +217,7 @@ def limits_of(args: Namespace) -> Iterator[None]:
     """Put the limits into the environment, where stages of this and of worker processes find them."""
     from sppm_pipeline.engine.process.budget import MEMORY
     from sppm_pipeline.engine.process.containment import STAGE_TIME
-    from sppm_pipeline.engine.run.contract import CONTRACT
+    from sppm_pipeline.engine.run.steps import CONTRACT
 
     requested = {
         STAGE_TIME: repr(args.stage_time) if args.stage_time is not None else None,

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 
 def configure_stages(parser: ArgumentParser) -> None:
-    """Arguments of ``sppm stages``."""
     parser.add_argument(
         "name", nargs="?", metavar="NAME", help="a stage or preset, or a family to list only its stages"
     )
@@ -68,7 +67,6 @@ def _stage_or_error(name: str, registry: Registry) -> dict[str, Any]:
 
 
 def configure_schema(parser: ArgumentParser) -> None:
-    """Arguments of ``sppm schema``."""
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write; printed if omitted")
     add_plugins(parser)
 
@@ -90,7 +88,6 @@ def execute_schema(args: Namespace) -> int:
 
 
 def configure_explain(parser: ArgumentParser) -> None:
-    """Arguments of ``sppm explain``."""
     add_configuration(parser)
     add_cache(parser)
 
@@ -119,7 +116,6 @@ def execute_explain(args: Namespace) -> int:
 
 
 def configure_graph(parser: ArgumentParser) -> None:
-    """Arguments of ``sppm graph``."""
     add_configuration(parser)
     parser.add_argument("-f", "--format", choices=("text", "dot", "mermaid"), default="text", help="text if omitted")
 
@@ -134,7 +130,6 @@ def execute_graph(args: Namespace) -> int:
 
 
 def configure_check(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     add_configuration(parser)
     parser.add_argument("--json", action="store_true", help="print the resolved configuration as JSON")
 
@@ -160,7 +155,6 @@ def execute_check(args: Namespace) -> int:
 
 
 def configure_estimate(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     add_configuration(parser)
     add_limits(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")

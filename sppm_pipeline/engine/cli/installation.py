@@ -17,7 +17,6 @@ from sppm_pipeline.engine.cli.arguments import add_plugins, plugins_from
 
 
 def configure_plugins(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     add_plugins(parser)
     parser.add_argument(
         "--check", action="store_true", help="import every plugin and every one of its stages; 4 if one is broken"
@@ -166,7 +165,6 @@ Finding = tuple[bool, str, str]
 
 
 def configure_doctor(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     add_plugins(parser)
     parser.add_argument("--json", action="store_true", help="print as JSON")
     parser.add_argument("--kernels", action="store_true", help="compile the kernels of common pipelines first")

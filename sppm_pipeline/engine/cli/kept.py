@@ -9,7 +9,6 @@ from pathlib import Path
 
 
 def configure_cache(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.add_argument(
         "what",
         choices=("info", "verify", "prune"),
@@ -68,7 +67,6 @@ def execute_cache(args: Namespace) -> int:
 
 
 def configure_verify(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.add_argument("directory", type=Path, metavar="DIR", help="run directory")
     parser.add_argument("--extra-ok", action="store_true", help="do not mind files that no stage has written")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")

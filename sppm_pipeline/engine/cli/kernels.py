@@ -50,7 +50,6 @@ class Waiting(Monitor):
     ahead: CompileAhead | None = None
 
     def stage_started(self, stage: str, number: int, total: int) -> None:
-        """See `Monitor`."""
         if self.ahead is not None:
             self.ahead.wait(stage, self.compiling)
 

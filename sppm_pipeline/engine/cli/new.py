@@ -38,7 +38,6 @@ PLUGINS_PAGE = "docs/explanation/architecture.md#plugins-without-a-template"
 
 
 def configure_new(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.add_argument("what", choices=("pipeline", "plugin"), help="what to write")
     parser.add_argument("name", metavar="NAME", help="name of the design or of the distribution")
     parser.add_argument(

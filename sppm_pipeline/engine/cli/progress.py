@@ -76,7 +76,6 @@ class ProgressLines(Waiting):
         self._counts = ""
 
     def stage_started(self, stage: str, number: int, total: int) -> None:
-        """See `Monitor`."""
         self._outer = False
         self._begin(f"[{number}/{total}] {stage}")
         begun = self._clock()
@@ -120,25 +119,20 @@ class ProgressLines(Waiting):
                 self._record(f"{title}: {took}")
 
     def warning(self, stage: str | None, message: str) -> None:
-        """See `Monitor`."""
         self._warn(f"{f'stage {stage!r}: ' if stage else ''}{message}")
 
     def sweep_started(self, about: str, total: int) -> None:
-        """See `Monitor`."""
         if about:
             self.note(f"runs on {about}")
         self._begin(f"{total} runs")
 
     def crew_started(self, about: str) -> None:
-        """See `Monitor`."""
         self.note(f"works on {about}")
 
     def crew_left_out(self, why: str) -> None:
-        """See `Monitor`."""
         self.note(f"this process goes on alone: {why}; --executor processes takes them all the same")
 
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
-        """See `Monitor`."""
         values = ", ".join(f"{name}={value}" for name, value in row["params"].items())
         run = f"run {row['run']} ({values})"
         for message in row["warnings"]:

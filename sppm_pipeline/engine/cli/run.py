@@ -41,7 +41,6 @@ usual terminal."""
 
 
 def configure_run(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     add_configuration(parser)
     add_limits(parser)
     parser.add_argument(

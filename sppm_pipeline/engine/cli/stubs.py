@@ -21,7 +21,6 @@ from sppm_pipeline.stage import FAMILIES, Stage
 
 
 def configure_stubs(parser: ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.add_argument(
         "--plugins",
         action="store_true",

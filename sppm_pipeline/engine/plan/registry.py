@@ -9,8 +9,7 @@ from collections.abc import Iterator
 
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import listed, nearest, shown
-from sppm_pipeline.engine.plan.plugin_files import incomplete_stages
-from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported
+from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported, incomplete_stages
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.stage import FAMILIES, Stage, StageAlias

@@ -164,47 +164,39 @@ class RunContext(Context):
         return recipe_key(recipe, recipes, path, self._seed)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """See `Context.rng`."""
         check(self._stop)
         # without random numbers the seed is left out of the key of the cache
         self.log.drew = True
         return generator(self._seed, self.path, key)
 
     def report(self, **values: Any) -> None:
-        """See `Context.report`."""
         check(self._stop)
         self.log.report(self.address, values)
 
     def progress(self, done: float, total: float, what: str = "") -> None:
-        """See `Context.progress`."""
         check(self._stop)
         self.log.progress(self.address, done, total, what)
 
     def warn(self, message: str) -> None:
-        """See `Context.warn`."""
         check(self._stop)
         self.log.warn(self.address, message)
 
     def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
-        """See `Context.map`."""
         check()
         if self._crew is None:
             return super().map(function, items, common)
         return self._crew.map(function, items, common)
 
     def begin_readers(self) -> Sequence[Any]:
-        """See `Context.begin_readers`."""
         check(self._stop)
         return self._readers()
 
     def worth_workers(self, samples: float) -> bool:
-        """See `Context.worth_workers`."""
         if self._crew is None:
             return super().worth_workers(samples)
         return self._crew.takes(samples)
 
     def shared_folder(self) -> Path | None:
-        """See `Context.shared_folder`."""
         check()
         return None if self._crew is None else self._crew.folder()
 
@@ -220,7 +212,6 @@ class RunContext(Context):
                 self._store.put(_unfinished(key), {**about, "same_as": None}, value=state)
 
     def recall(self, key: str) -> Any:
-        """See `Context.recall`."""
         check(self._stop)
         if self._store is None:
             return None
@@ -231,16 +222,13 @@ class RunContext(Context):
             return None
 
     def hashed(self, name: str, sha256: str) -> None:
-        """See `Context.hashed`."""
         if isinstance(self.folder, RunFolder):
             self.folder.hashed(name, sha256)
 
     def scratch(self) -> Path:
-        """See `Context.scratch`."""
         return self.folder.temporary() if isinstance(self.folder, RunFolder) else super().scratch()
 
     def output(self, name: str) -> Path:
-        """See `Context.output`."""
         check(self._stop)
         if self.folder is None:
             raise ConfigError(f"there is no run directory for the output {name!r}")

@@ -256,14 +256,12 @@ class Scratch:
         self._claims: set[str] = set()
 
     def claim(self, stage: str, name: str) -> Path:
-        """See `RunFolder.claim`."""
         self._claims.add(name)
         staged = self._path.joinpath(*output_parts(name))
         staged.parent.mkdir(parents=True, exist_ok=True)
         return staged
 
     def restart(self, stage: str) -> None:
-        """See `RunFolder.restart`."""
         self.discard()
 
     def pending(self) -> set[str]:
@@ -271,7 +269,6 @@ class Scratch:
         return set(self._claims)
 
     def scratch(self) -> Scratch:
-        """See `RunFolder.scratch`."""
         return Scratch(self._path)
 
     def discard(self) -> None:

@@ -24,11 +24,10 @@ from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.process.resident import PeakWatch
 from sppm_pipeline.engine.run.context import RunContext, StageLog
-from sppm_pipeline.engine.run.contract import is_strict
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.run.record import Entry, Recorder, entry_of
-from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
+from sppm_pipeline.engine.run.steps import RecipeSteps, is_strict, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.hookspecs import StageEvent

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import math
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, nearest
 from sppm_pipeline.engine.files import DISK
-from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
+from sppm_pipeline.engine.plan.checking import declared_numbers, is_declared
 from sppm_pipeline.engine.plan.ports import artifact_words
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.process.budget import exhausted_resource
 from sppm_pipeline.engine.process.containment import contained, limited
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.context import RunContext
-from sppm_pipeline.engine.run.contract import changed, digests, is_strict, no_numbers, writable_ports
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import (
@@ -148,13 +151,11 @@ class StepRecipe(Recipe):
         self._steps = recipes[name]
 
     def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """See `Recipe.options`."""
         return {
             step.id: {name: getattr(step.stage, name) for name in options_of(type(step.stage))} for step in self._steps
         }
 
     def inner_options(self) -> Mapping[str, Mapping[str, Any]]:
-        """See `Recipe.inner_options`."""
         names = [name for step in self._steps for name in step.recipes.values()]
         found: dict[str, Mapping[str, Any]] = {}
         for name in dict.fromkeys(names):
@@ -163,7 +164,6 @@ class StepRecipe(Recipe):
         return found
 
     def number(self, name: str) -> str:
-        """See `Recipe.number`."""
         declared = {step.id: declared_numbers(type(step.stage), step.owner.builtin, step.makes) for step in self._steps}
         owners = [id_ for id_ in declared if name.startswith(f"{id_}.")]
         if any((there := declared[id_]) is None or is_declared(name[len(id_) + 1 :], there) for id_ in owners):
@@ -210,7 +210,6 @@ class StepRecipe(Recipe):
         options: Mapping[str, Mapping[str, Any]] | None = None,
         again: bool = False,
     ) -> Observed:
-        """See `Recipe.observe`."""
         own = _of_a_run(context)
         recipes = self._with(own, options or {})
         # the numbers of a draw are kept, as a search asks for the same draw again when it is resumed
@@ -330,3 +329,73 @@ def _of_a_run(context: Context) -> RunContext:
     if not isinstance(context, RunContext):
         raise TypeError("a recipe runs in the context that the calling stage was given")
     return context
+
+
+CONTRACT = "SPPM_CONTRACT"
+"""Environment variable that switches the costly checks on, for those who write plugins."""
+
+
+def is_strict() -> bool:
+    """True if inputs are digested before and after each stage, and results of built-in stages looked at, too."""
+    return os.environ.get(CONTRACT, "") not in ("", "0")
+
+
+def no_numbers(made: Any) -> str | None:
+    """A NaN, an infinity or an object in the arrays and numbers of an artifact, with its place; None if there is none.
+
+    Infinities in private fields, and in fields that no comparison looks at, are the artifact's own business.
+    """
+    for place, value in _parts(made, type(made).__name__):
+        if isinstance(value, np.ndarray):
+            # objects would need pickle, which the cache does not read
+            if value.dtype.hasobject:
+                return f"an array of objects, which can't be kept: {place}"
+            if value.dtype.kind in "fc" and not np.isfinite(value).all():
+                # the first place is found only when there is one: this is slower than the test
+                bad = np.argwhere(~np.isfinite(value))
+                first = f"{place}{bad[0].tolist()} is {value[tuple(bad[0])]}"
+                return f"numbers that are not finite: {first} ({len(bad)} of {value.size} are not finite)"
+        elif isinstance(value, float) and not math.isfinite(value):
+            return f"numbers that are not finite: {place} is {value}"
+    return None
+
+
+def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Arrays and numbers of artifacts, tuples and lists, with their places; tables may hold NaN where a run failed."""
+    if isinstance(value, Artifact):
+        for field in dataclasses.fields(value):  # type: ignore[arg-type]
+            if field.compare and not field.name.startswith("_"):
+                yield from _parts(getattr(value, field.name), f"{place}.{field.name}")
+    elif isinstance(value, (tuple, list)):
+        names: Any = getattr(value, "_fields", range(len(value)))
+        for name, item in zip(names, value, strict=True):
+            yield from _parts(item, f"{place}.{name}" if isinstance(name, str) else f"{place}[{name}]")
+    else:
+        yield place, value
+
+
+def digests(inputs: Mapping[str, Any]) -> dict[str, str]:
+    """The digest of each input that has one."""
+    found = {}
+    for port, value in inputs.items():
+        if isinstance(value, Artifact):
+            try:
+                found[port] = value.digest()
+            except (TypeError, AttributeError):  # an artifact that computes what it holds while it is read
+                continue
+    return found
+
+
+def changed(inputs: Mapping[str, Any], before: Mapping[str, str]) -> list[str]:
+    """The ports whose artifacts are not what they were."""
+    return [port for port, digest in digests({name: inputs[name] for name in before}).items() if digest != before[port]]
+
+
+def writable_ports(inputs: Mapping[str, Any]) -> set[str]:
+    """The ports whose artifacts have an array that can be written to; to unlock one is the way to change it."""
+    return {
+        port
+        for port, artifact in inputs.items()
+        if isinstance(artifact, Artifact)
+        and any(isinstance(value, np.ndarray) and value.flags.writeable for _, value in _parts(artifact, port))
+    }

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 from sppm_pipeline.engine.cache.identity import environment, installed_version, program_digest
 from sppm_pipeline.engine.files import DISK
-from sppm_pipeline.engine.plan.plugin_files import import_file
-from sppm_pipeline.engine.plan.plugins import Plugins
+from sppm_pipeline.engine.plan.plugins import Plugins, import_file
 from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.outputs import staging_name
 from sppm_pipeline.errors import ConfigError, ResourceError

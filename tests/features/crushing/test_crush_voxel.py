@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.plan.inputs import is_declared
+from sppm_pipeline.engine.plan.checking import is_declared
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.crushing.compression import CrushedBody
 from sppm_pipeline.features.crushing.crush_report import is_quiet

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.plan.inputs import declared_numbers
+from sppm_pipeline.engine.plan.checking import declared_numbers
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError

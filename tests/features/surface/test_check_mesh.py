@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
+from sppm_pipeline.engine.plan.checking import declared_numbers, is_declared
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.errors import ConfigError, InputError

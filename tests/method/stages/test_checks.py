@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sppm_pipeline.engine.plan.inputs import declared_numbers
+from sppm_pipeline.engine.plan.checking import declared_numbers
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connectivity.islands import keep_largest
