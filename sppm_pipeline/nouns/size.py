@@ -240,11 +240,12 @@ class Size:
 
 def sum_of(sizes: Sequence[Size]) -> Size:
     """All counts together, with the first design and the first geometry that is known."""
-    counts = Counter[str]()
+    counts: Counter[Any] = Counter()
     for size in sizes:
         counts.update(size.units())
     design = next((size.design for size in sizes if size.design is not None), None)
-    return Size(design=design, geometry=next((s.geometry for s in sizes if s.geometry is not None), None), **counts)
+    geometry = next((size.geometry for size in sizes if size.geometry is not None), None)
+    return replace(Size(design=design, geometry=geometry), **counts)
 
 
 RecipeSize = Callable[..., Size]

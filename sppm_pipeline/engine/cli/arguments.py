@@ -78,6 +78,7 @@ def request_from(args: Namespace) -> RunRequest:
 def open_from(args: Namespace) -> Session:
     """Read the configuration and load the plugins; what has not run for this user before is asked for."""
     from sppm_pipeline.engine.plan.session import UntrustedError, open_session, trust
+    from sppm_pipeline.errors import ResourceError
 
     request = request_from(args)
     try:
@@ -87,7 +88,7 @@ def open_from(args: Namespace) -> Session:
             raise
         try:
             trust(error.files)
-        except OSError as unkept:
+        except (OSError, ResourceError) as unkept:
             print(f"sppm: warning: trust in plugins can't be remembered: {unkept}", file=sys.stderr)
         session = open_session(replace(request, trusted=True))
     warn_of_failed_plugins(session.plugins)
@@ -216,8 +217,7 @@ def seconds(text: str) -> float:
 def limits_of(args: Namespace) -> Iterator[None]:
     """Put the limits into the environment, where stages of this and of worker processes find them."""
     from sppm_pipeline.engine.process.budget import MEMORY
-    from sppm_pipeline.engine.process.containment import STAGE_TIME
-    from sppm_pipeline.engine.run.steps import CONTRACT
+    from sppm_pipeline.engine.process.containment import CONTRACT, STAGE_TIME
 
     requested = {
         STAGE_TIME: repr(args.stage_time) if args.stage_time is not None else None,

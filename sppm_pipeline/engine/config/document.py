@@ -423,14 +423,14 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
             )
         if words and not line.startswith(("%", "#")):
             break
-    for pattern, words in (
+    for pattern, message in (
         (_LONG_LINE, f"the line is longer than {MAX_LINE} characters, which no configuration needs"),
         (_LONG_WORD, f"more than {MAX_SCALAR} characters without a blank, starting {{word}}"),
         (_DEEP, f"nested deeper than {MAX_DEPTH} levels"),
     ):
         if (found := pattern.search(text)) is not None:
-            message = words.replace("{word}", repr(found[0][:20]))
-            raise ConfigError(message, where=fixed or _place(text, found.start(), file))
+            place = fixed or _place(text, found.start(), file)
+            raise ConfigError(message.replace("{word}", repr(found[0][:20])), where=place)
 
 
 def parsable(text: str) -> str:

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,6 +18,7 @@ from sppm_pipeline.engine.config.configuration import Configuration, parse_confi
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, read_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed
+from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
@@ -172,13 +172,11 @@ def untrusted(files: Iterable[Path]) -> list[Path]:
 
 
 def trust(files: Iterable[Path]) -> None:
-    """Remember the content of files, which may run from now on; `OSError` if that can't be written down."""
+    """Remember the content of files, which may run from now on; `OSError` or `ResourceError` if it can't be kept."""
     known = _remembered() | {_digest(path) for path in files}
     folder = _state_folder()
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="utf-8") as file:
-        json.dump({"sha256": sorted(known)}, file, indent=1)
-    os.replace(file.name, folder / "trusted.json")
+    write_whole(folder / "trusted.json", json.dumps({"sha256": sorted(known)}, indent=1), mode=0o600)
 
 
 def _in_trusted_folder(path: Path) -> bool:

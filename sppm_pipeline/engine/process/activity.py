@@ -143,6 +143,14 @@ def current(file: Path | None = None) -> Activity | None:
     return Activity(what, bool(builtin), where, stage, kind) if what else None
 
 
+def running(file: Path | None = None) -> tuple[Activity | None, str, dict[str, Any]]:
+    """The `current` activity, as the end of a message, and where in the configuration it stands."""
+    now = current(file)
+    if now is None:
+        return None, "", {}
+    return now, f", while this was running: {now.what}", {"where": now.place, "stage": now.stage or None}
+
+
 def limit_run(seconds: float) -> None:
     """Have the supervisor end this process after so many seconds; `ConfigError` if there is none.
 

@@ -21,6 +21,9 @@ from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError
 STAGE_TIME = "SPPM_STAGE_TIME"
 """Environment variable with the seconds that one stage may take; worker processes of a sweep inherit it."""
 
+CONTRACT = "SPPM_CONTRACT"
+"""Environment variable that adds costly checks of each stage's promises (`--contract`), for those who write plugins."""
+
 GRACE = 10.0
 """Seconds that a stage has to end after its time is up, before the whole process is ended."""
 

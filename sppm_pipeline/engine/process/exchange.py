@@ -1,7 +1,7 @@
 """Exchange with a native child: a private folder, arrays in .npy files, and progress through a pipe.
 
-The folder is locked by its owner with ``flock`` on the folder itself. The system releases the lock when the owner
-ends, however it ends; so a folder that can be locked has no owner and is removed. There is no lock file to forget.
+The folder is locked by its owner, on the folder itself. The system releases the lock when the owner ends, however it
+ends; so a folder that can be locked has no owner and is removed.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sppm_pipeline.engine.locks import FolderLock
 
 PREFIX = "sppm-native-"
 """Prefix of the names of private folders."""
@@ -94,12 +96,18 @@ def read_arrays(folder: Path, returns: Mapping[str, ArraySpec]) -> dict[str, NDA
 def private_folder() -> Iterator[Path]:
     """A folder that only this user may enter; it is gone with all it contains when the context ends."""
     remove_leftovers()
-    path, lock = _locked_folder()
+    taken = False
+    while not taken:
+        path = Path(tempfile.mkdtemp(prefix=PREFIX))
+        lock = FolderLock(path)
+        # between its making and its locking, another run may have taken it for a leftover
+        with contextlib.suppress(FileNotFoundError):
+            taken = lock.acquire()
     try:
         yield path
     finally:
         _remove(path)
-        os.close(lock)
+        lock.release()
 
 
 def remove_leftovers() -> None:
@@ -112,40 +120,16 @@ def remove_leftovers() -> None:
 
 
 def _remove_if_left(path: Path) -> None:
+    # no link is followed: the temporary folder is open to all users
     there = path.lstat()
     if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.geteuid():
         return
-    import fcntl
-
     if not there.st_mode & stat.S_IRUSR:
         path.chmod(0o700)
-    # no link is followed: the temporary folder is open to all users
-    lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    lock = FolderLock(path)
+    if lock.acquire():
         _remove(path)
-    except BlockingIOError:
-        pass
-    finally:
-        os.close(lock)
-
-
-def _locked_folder() -> tuple[Path, int]:
-    import fcntl
-
-    while True:
-        path = Path(tempfile.mkdtemp(prefix=PREFIX))
-        lock = -1
-        try:
-            lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            # between its making and its locking, another run may have taken it for a leftover
-            if os.path.samestat(os.stat(path), os.fstat(lock)):
-                return path, lock
-        except FileNotFoundError:
-            pass
-        if lock >= 0:
-            os.close(lock)
+        lock.release()
 
 
 def _remove(path: Path) -> None:

@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from sppm_pipeline.engine.process import activity, interruption
 from sppm_pipeline.engine.process.budget import format_bytes
@@ -189,7 +188,7 @@ class _Watch:
 
     def _overdue(self) -> SppmError:
         """That the child has used up its time, by what it was doing."""
-        now, doing, place = _doing()
+        now, doing, place = activity.running()
         if time.monotonic() >= activity.deadlines()[0]:
             hint = "allow more with --time-limit; the same command again goes on with the stages that had ended"
             return ResourceError(f"the run took longer than --time-limit allows{doing}", hint=hint, **place)
@@ -206,7 +205,7 @@ class _Watch:
 
     def _ended(self, status: int) -> int:
         """The exit code, of a child that has ended by itself."""
-        now, doing, place = _doing()
+        now, doing, place = activity.running()
         if not os.WIFSIGNALED(status):
             code = os.WEXITSTATUS(status)
             # a plugin that calls os._exit(0) must not look like success
@@ -309,14 +308,6 @@ class _Watch:
         for name in self._reported.split(b"\0"):
             if name:
                 self._mark_ended(Path(os.fsdecode(name)), status, error)
-
-
-def _doing() -> tuple[activity.Activity | None, str, dict[str, Any]]:
-    """Activity of the child, as the end of a message, and where in the configuration."""
-    now = activity.current()
-    if now is None:
-        return None, "", {}
-    return now, f", while this was running: {now.what}", {"where": now.place, "stage": now.stage or None}
 
 
 def _announce_runs(writer: int) -> None:

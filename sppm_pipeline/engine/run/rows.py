@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session
-from sppm_pipeline.engine.process.activity import Activity, current, of_run, overdue, share
+from sppm_pipeline.engine.process.activity import Activity, of_run, overdue, running, share
 from sppm_pipeline.engine.process.containment import stage_seconds
 from sppm_pipeline.engine.process.guard import guard
 from sppm_pipeline.engine.run.events import breaches
@@ -44,9 +44,7 @@ def failed_row(session: Session, task: Mapping[str, Any], error: SppmError) -> d
 def dead_row(session: Session, task: Mapping[str, Any], codes: Sequence[int]) -> dict[str, Any]:
     """The result of a row whose process has died, by what it was doing."""
     path, notes = Path(task["path"]), Path(task["notes"])
-    now = current(notes) if notes.exists() else None  # it ran on another machine
-    place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
-    doing = "" if now is None else f", while this was running: {now.what}"
+    now, doing, place = running(notes) if notes.exists() else (None, "", {})  # it ran on another machine
     # of several workers it is unknown which one ran the row
     code = codes[0] if len(codes) == 1 else None
     run = f"the process of run {path.name!r}"

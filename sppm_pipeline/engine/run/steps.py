@@ -20,7 +20,7 @@ from sppm_pipeline.engine.plan.checking import declared_numbers, is_declared
 from sppm_pipeline.engine.plan.ports import artifact_words
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.process.budget import exhausted_resource
-from sppm_pipeline.engine.process.containment import contained, limited
+from sppm_pipeline.engine.process.containment import CONTRACT, contained, limited
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.context import RunContext
 from sppm_pipeline.engine.run.sweep_table import numbers_of
@@ -329,10 +329,6 @@ def _of_a_run(context: Context) -> RunContext:
     if not isinstance(context, RunContext):
         raise TypeError("a recipe runs in the context that the calling stage was given")
     return context
-
-
-CONTRACT = "SPPM_CONTRACT"
-"""Environment variable that switches the costly checks on, for those who write plugins."""
 
 
 def is_strict() -> bool:

@@ -14,14 +14,13 @@ from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.session import Session
 from sppm_pipeline.engine.process.activity import overdue, overdue_file
 from sppm_pipeline.engine.process.budget import MEMORY
-from sppm_pipeline.engine.process.containment import STAGE_TIME
+from sppm_pipeline.engine.process.containment import CONTRACT, STAGE_TIME
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.executors import WorkerOptions, make_executor, serve
 from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs, staging_name
 from sppm_pipeline.engine.run.record import Recorder, mark_ended
 from sppm_pipeline.engine.run.rows import dead_row, ended_row, failed_row, overdue_error, run_row, store_in
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.steps import CONTRACT
 from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, rows_of
 from sppm_pipeline.engine.run.workers import announced
 from sppm_pipeline.engine.strict_json import json_text

@@ -212,7 +212,7 @@ class Homogenizer(Stage):
         """Work for a field over that of one solution on its grid."""
         return 1.0
 
-    def estimate(self, palette: Palette, source: Size) -> Size:
+    def estimate(self, palette: Palette, source: Any) -> Size:
         return self.solving(source)
 
     def solving(self, source: Size, repeats: float = 1.0) -> Size:
