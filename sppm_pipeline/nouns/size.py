@@ -240,7 +240,7 @@ class Size:
 
 def sum_of(sizes: Sequence[Size]) -> Size:
     """All counts together, with the first design and the first geometry that is known."""
-    counts: Counter[Any] = Counter()
+    counts: Any = Counter()
     for size in sizes:
         counts.update(size.units())
     design = next((size.design for size in sizes if size.design is not None), None)

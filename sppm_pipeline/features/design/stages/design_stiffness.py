@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
@@ -28,6 +28,7 @@ from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, options_at, varied_option
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
+from sppm_pipeline.nouns.size import sum_of
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.grid import cell_centers
 
@@ -169,10 +170,9 @@ class DesignStiffness(Stage):
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         calls = EVALUATIONS + 2 * len(self.vary)
         made = recipe(palette, self.search_draws * calls + 2 * self.draws)
-        coarse = self._solver(None, self._coarse).solving(made, self._coarse, 1.13 * self.search_draws * calls)
-        return cast(
-            Size, coarse + self._solver(None, self.resolution).solving(made, self.resolution, 2.26 * self.draws)
-        )
+        searched: Size = self._solver(None, self._coarse).solving(made, self.search_draws * calls)
+        found: Size = self._solver(None, self.resolution).solving(made, 2.0 * self.draws)
+        return replace(sum_of([searched, found]), resident=found.resident)
 
     @property
     def _coarse(self) -> int:
