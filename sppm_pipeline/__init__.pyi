@@ -44,6 +44,7 @@ from sppm_pipeline.errors import InputError as InputError
 from sppm_pipeline.errors import PluginError as PluginError
 from sppm_pipeline.errors import ResourceError as ResourceError
 from sppm_pipeline.errors import SppmError as SppmError
+from sppm_pipeline.features.design.atlas import find as find
 from sppm_pipeline.features.grading.grader import Grader as Grader
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh as VolumeMesh
 from sppm_pipeline.hookspecs import hookimpl as hookimpl

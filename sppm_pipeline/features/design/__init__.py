@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sppm_pipeline.hookspecs import Preset, hookimpl
+from sppm_pipeline.hookspecs import Command, Preset, hookimpl
 
 STAGES = {
     "design.sizes": "DesignSizes",
@@ -30,4 +30,16 @@ def sppm_presets() -> dict[str, Preset]:
             ],
             {"total": 60, "edge": None, "spacing": 0.05, "degree": [3, 5], "struts": 0.4, "tunnel_radius": 0.06},
         ),
+    }
+
+
+@hookimpl
+def sppm_commands() -> dict[str, Command]:
+    """The verbs of this feature."""
+    return {
+        "find": Command(
+            "find designs by their properties, in the atlas of measured ones",
+            f"{__name__}.commands:configure",
+            f"{__name__}.commands:execute",
+        )
     }

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS
 from sppm_pipeline.method.nouns.maps import (
     BOX_COORDINATES,
     CELL_COORDINATES,
@@ -22,6 +21,7 @@ from sppm_pipeline.method.nouns.maps import (
 )
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.services.expression import CONSTANTS, FUNCTIONS, WORDS
 from sppm_pipeline.stage import Context, Stage, option
 
 RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE, *FUNCTIONS, *CONSTANTS, *WORDS})

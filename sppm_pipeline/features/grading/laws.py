@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.numerics.curve import StiffnessCurve
-from sppm_pipeline.features.grading.numerics.expression import Expression
 from sppm_pipeline.features.grading.numerics.samples import by_inverse_distance
 from sppm_pipeline.method.nouns.maps import (
     BOX_COORDINATES,
@@ -22,6 +21,7 @@ from sppm_pipeline.method.nouns.maps import (
     Law,
     Place,
 )
+from sppm_pipeline.services.expression import Expression
 from sppm_pipeline.services.mesh.box_tree import box_tree
 from sppm_pipeline.services.mesh.winding_number import dipoles, winding_numbers
 from sppm_pipeline.services.monotone_cubic import monotone_cubic

@@ -10,7 +10,6 @@ import numpy as np
 from sppm_pipeline import ConfigError, Context, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import RESERVED, Grader
 from sppm_pipeline.features.grading.laws import DistanceLaw, FormulaLaw
-from sppm_pipeline.features.grading.numerics.expression import Expression, names_in
 from sppm_pipeline.method.nouns.maps import (
     BOX_COORDINATES,
     CELL_COORDINATES,
@@ -18,6 +17,7 @@ from sppm_pipeline.method.nouns.maps import (
     DISTANCE,
     Grading,
 )
+from sppm_pipeline.services.expression import Expression, names_in
 
 PLACES = (*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, MAX_DEPTH, MAX_LENGTH, Expression
+from sppm_pipeline.services.expression import CONSTANTS, FUNCTIONS, MAX_DEPTH, MAX_LENGTH, Expression
 
 POINTS = np.linspace(-3, 3, 7)
 VALUES = {"x": POINTS, "y": POINTS[::-1] ** 2, "z": np.arange(7.0)}

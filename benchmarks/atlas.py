@@ -1,0 +1,131 @@
+"""The sweep behind `sppm find`: designs of all families, drawn and measured; it goes on where it ended.
+
+    python -m benchmarks.atlas ROWS.csv --designs 40 --draws 2 --minutes 5     # add rows; repeat until it says done
+    python -m benchmarks.atlas ROWS.csv --build                                # write the data file of the package
+    python -m benchmarks.atlas ROWS.csv --verify 5                             # run rows again, compare their digests
+    python -m benchmarks.atlas FRESH.csv --first 1000 --designs 8 --minutes 5  # fresh designs ...
+    python -m benchmarks.atlas FRESH.csv --coverage                            # ... and how many lie in the bands
+
+`--designs` is the number of each family; they fill its ranges evenly, as points of an additive recurrence, so that more
+designs leave those that are there as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import random
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import sppm_pipeline as sppm
+from sppm_pipeline.features.design.atlas import DATA, PROPERTIES, Atlas, built, digest_of, spread, versions
+from sppm_pipeline.features.design.families import FAMILIES, configuration
+
+COLUMNS = ("family", "number", "draw", *PROPERTIES, "digest", "versions")
+
+
+def values_of(family: str, number: int) -> dict[str, float]:
+    """Parameters of a design: points spread evenly over the ranges."""
+    ranges = FAMILIES[family].ranges
+    shares = spread(number + 1, len(ranges))[-1]
+    return {
+        name: float(f"{a + share * (b - a):.4g}") for share, (name, (a, b)) in zip(shares, ranges.items(), strict=True)
+    }
+
+
+def measured(family: str, number: int, draw: int) -> list[float]:
+    """Properties of one draw, lengths in cell sizes; NaN if it can't be made."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = Path(folder) / "design.yaml"
+        path.write_text(configuration("design", family, values_of(family, number)), encoding="utf-8")
+        try:
+            n = sppm.run(str(path), seed=1000 * number + draw, output=f"{folder}/run", cache=False, threads=1).numbers
+            return [
+                n["homogenize.voxel.E_relative"], n["homogenize.voxel.isotropic.nu"], n["homogenize.voxel.E_ratio"],
+                sum(n[f"homogenize.conductivity.k.{i}.{i}"] for i in (1, 2, 3)) / 3,
+                n["homogenize.permeability.k_mean"], n["check.sizes.specific_surface"], n["check.sizes.strut.mean"],
+                n["check.sizes.strut.thinnest"], n["check.sizes.pore.mean"],
+            ]  # fmt: skip
+        except (sppm.SppmError, KeyError):  # it can't be made, or has no stiffness in some direction
+            return [float("nan")] * len(PROPERTIES)
+
+
+def main() -> None:
+    """Sweep, build, verify, or measure the coverage."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rows", type=Path)
+    parser.add_argument("--designs", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--draws", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--build", action="store_true")
+    parser.add_argument("--verify", type=int, default=0)
+    parser.add_argument("--coverage", action="store_true")
+    args = parser.parse_args()
+    rows = list(csv.DictReader(args.rows.open(encoding="utf-8"))) if args.rows.exists() else []
+    designs = [(row["family"], int(row["number"]), int(row["draw"])) for row in rows]
+    if args.build:
+        built(
+            [(family, values_of(family, number)) for family, number, _ in designs],
+            np.array([[float(row[name]) for name in PROPERTIES] for row in rows]),
+            [row["digest"] for row in rows], [number for _, number, _ in designs], [draw for *_, draw in designs],
+            [row["versions"] for row in rows],
+        )  # fmt: skip
+        print(f"{DATA}: {DATA.stat().st_size} bytes, {len(rows)} draws of {len({d[:2] for d in designs})} designs")
+    elif args.verify:
+        for k in random.Random(1).sample(range(len(rows)), args.verify):
+            again = digest_of(measured(*designs[k]))
+            print(*designs[k], "the same" if again == rows[k]["digest"] else f"NOT the same: {again}", flush=True)
+    elif args.coverage:
+        coverage(rows, designs)
+    else:
+        swept(args, set(designs))
+
+
+def swept(args: argparse.Namespace, known: set[tuple[str, int, int]]) -> None:
+    """Add rows until there are all, or the time is over."""
+    started = time.process_time()
+    new = not args.rows.exists()
+    with args.rows.open("a", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        if new:
+            writer.writerow(COLUMNS)
+        for number in range(args.first, args.first + args.designs):
+            for draw in range(args.draws):
+                for family in FAMILIES:
+                    if (family, number, draw) in known:
+                        continue
+                    if time.process_time() - started > 60 * args.minutes:
+                        print(f"not done: {len(known)} draws")
+                        return
+                    found = measured(family, number, draw)
+                    numbers = [f"{np.float32(value):.9g}" for value in found]
+                    writer.writerow([family, number, draw, *numbers, digest_of(found), versions(family)])
+                    file.flush()
+                    known.add((family, number, draw))
+    print(f"done: {len(known)} draws")
+
+
+def coverage(rows: list[dict[str, str]], designs: list[tuple[str, int, int]]) -> None:
+    """Share of fresh draws inside of the bands of each property."""
+    atlas = Atlas.read()
+    inside = []
+    for design, row in zip(designs, rows, strict=True):
+        draw = np.array([float(row[name]) for name in PROPERTIES])
+        if np.isfinite(np.log(draw)).all():
+            low, high = atlas.band(design[0], values_of(*design[:2]))
+            inside.append((low <= draw) & (draw <= high))
+    print(f"{len(inside)} fresh draws")
+    for name, share in zip(PROPERTIES, np.mean(inside, 0), strict=True):
+        print(f"{name}: {share:.3f}")
+    print(f"all: {np.mean(inside):.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,303 @@
+"""The atlas: measured designs of all families, and what is between them.
+
+Properties are those of draws of periodic cells of 40 pores; lengths are kept in mean distances of pores, so that cells
+of any number of pores follow by similarity. Bands hold 90 % of fresh draws: the residuals of designs left out, of which
+the (n + 1) 0.9-th smallest is taken (conformal prediction, Vovk et al. 2005; by leaving out, as in the jackknife).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.features.design.families import FAMILIES, PORES, POROSITY, configuration
+from sppm_pipeline.features.design.numerics.surrogate import Surrogate, fitted, predicted
+from sppm_pipeline.nouns.length import parse_length
+from sppm_pipeline.services.arrays import F64
+
+DATA = Path(__file__).with_name("atlas.npz")
+
+LENGTH_POWERS: Mapping[str, int] = {
+    "E_relative": 0, "poisson": 0, "E_ratio": 0, "conductivity": 0, "permeability": 2, "surface": -1, "strut": 1,
+    "strut_thinnest": 1, "pore": 1,
+}  # fmt: skip
+"""Properties, and the power of a length in the unit of each."""
+
+PROPERTIES = tuple(LENGTH_POWERS)
+
+TOTALS = (30, 60, 95, 150)
+"""Numbers of pores of a cell that are proposed."""
+
+CANDIDATES = 500
+"""Parameters that are tried in each family."""
+
+NEAR = 0.15
+"""Distance of parameters, over their ranges, below which two designs are the same to a user."""
+
+OF_A_FAMILY = 2
+"""Most designs of a family that are returned, so that others are seen beside them."""
+
+EQUAL = 0.03
+"""Relative tolerance of conditions with ``=``, but that of the porosity, which is a parameter."""
+
+MEASURED = ("tune.porosity", "homogenize.voxel", "homogenize.conductivity", "homogenize.permeability", "check.sizes")
+
+
+class Found(NamedTuple):
+    """A design that a query has found.
+
+    Attributes
+    ----------
+    family : str
+    parameters : mapping of name to float
+        Porosity and parameters of the family; lengths in mean distances of pores.
+    total : int
+        Pores of a cell.
+    values : mapping of property to (low, value, high)
+        Expected value of a cell, and the band that 90 % of cells lie in. Lengths in mm if the query had a cell size,
+        else in cell sizes.
+    cell : str
+        Size of the cell; empty without one.
+    """
+
+    family: str
+    parameters: Mapping[str, float]
+    total: int
+    values: Mapping[str, tuple[float, float, float]]
+    cell: str
+
+    def configuration(self, name: str = "found") -> str:
+        """A configuration that makes one cell of the design and measures it."""
+        return configuration(name, self.family, self.parameters, self.total, self.cell)
+
+
+def digest_of(values: Sequence[float] | F64) -> str:
+    """Digest of the measured properties of a draw."""
+    return hashlib.sha256(np.asarray(values, "<f4").tobytes()).hexdigest()[:16]
+
+
+def versions(family: str) -> str:
+    """Versions of the stages that make and measure a family, by which rows are known that others made."""
+    from sppm_pipeline.built_in import stage_class
+
+    made = re.findall(r"stage: ([\w.]+)", " ".join(FAMILIES[family].stages))
+    return " ".join(f"{name}={stage_class(name).version}" for name in (*made, *MEASURED))
+
+
+def spread(count: int, axes: int) -> F64:
+    """Evenly spread points (count, axes) from 0 to 1: an additive recurrence (Roberts 2018), of which any number of
+    first points is spread evenly."""
+    root = 2.0
+    for _ in range(60):
+        root = (1 + root) ** (1 / (axes + 1))
+    powers = root ** -np.arange(1.0, axes + 1)
+    return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * powers) % 1)
+
+
+def scaled(family: str, values: Mapping[str, float]) -> F64:
+    """Parameters of a design as shares of their ranges, (1, d)."""
+    return np.array([[(values[name] - a) / (b - a) for name, (a, b) in FAMILIES[family].ranges.items()]])
+
+
+def built(
+    designs: Sequence[tuple[str, Mapping[str, float]]], values: F64, digests: Sequence[str], numbers: Sequence[int],
+    draws: Sequence[int], made_by: Sequence[str],
+) -> None:  # fmt: skip
+    """Fit all families and write the data file; values (n, properties) of draws have lengths in cell sizes."""
+    arrays: dict[str, Any] = {}
+    scale = PORES ** (np.array(list(LENGTH_POWERS.values())) / 3)
+    for family in FAMILIES:
+        own = [k for k, (name, _) in enumerate(designs) if name == family and np.isfinite(np.log(values[k])).all()]
+        points = np.concatenate([scaled(family, designs[k][1]) for k in own])
+        logs = np.log(values[own] * scale)
+        of = np.array([numbers[k] for k in own])
+        fits = [fitted(points, logs[:, p], of) for p in range(len(PROPERTIES))]
+        arrays |= {
+            f"{family}.points": points, f"{family}.values": logs.astype(np.float32), f"{family}.number": of,
+            f"{family}.draw": np.array([draws[k] for k in own]),
+            f"{family}.digest": np.array([digests[k] for k in own]),
+            f"{family}.versions": np.array([made_by[own[0]]]), f"{family}.weights": np.array([f.weights for f in fits]),
+            f"{family}.settings": np.array([[*f.settings, f.mean, f.deviation, f.band] for f in fits]),
+        }  # fmt: skip
+        if len({made_by[k] for k in own}) > 1:
+            raise ValueError(f"rows of {family} were made by several versions: sweep it again")
+    np.savez_compressed(DATA, **arrays)
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """The data of the package."""
+
+    arrays: Mapping[str, Any]
+
+    @classmethod
+    def read(cls) -> Atlas:
+        """Read the data file."""
+        with np.load(DATA) as file:
+            return cls(dict(file))
+
+    def stale(self) -> list[str]:
+        """Families whose rows were made by other versions of their stages."""
+        return [family for family in FAMILIES if str(self.arrays[f"{family}.versions"][0]) != versions(family)]
+
+    def logs(self, family: str, at: F64) -> tuple[F64, F64]:
+        """Logarithms of the properties at parameters (m, d) from 0 to 1, (m, p), and half widths of their bands, (p,);
+        lengths in mean distances of pores."""
+        points = self.arrays[f"{family}.points"]
+        rows = zip(self.arrays[f"{family}.weights"], self.arrays[f"{family}.settings"], strict=True)
+        fits = [Surrogate(w, s[:3], *map(float, s[3:])) for w, s in rows]
+        return predicted(fits, points, at), np.array([one.band for one in fits])
+
+    def band(self, family: str, values: Mapping[str, float]) -> tuple[F64, F64]:
+        """Ends of the bands of all properties of a design, (p,), lengths in cell sizes of a cell of 40 pores."""
+        logs, half = self.logs(family, scaled(family, values))
+        scale = PORES ** (-np.array(list(LENGTH_POWERS.values())) / 3)
+        return np.exp(logs[0] - half) * scale, np.exp(logs[0] + half) * scale
+
+
+class _Condition(NamedTuple):
+    left: Any
+    sign: str
+    right: Any
+
+    def margin(self, values: Mapping[str, F64], count: int) -> F64:
+        """How far it is met, relative; negative where it is not."""
+        a, b = self.left.evaluate(values, count), self.right.evaluate(values, count)
+        size = np.maximum(np.maximum(np.abs(a), np.abs(b)), 1e-300)
+        if self.sign == "=":
+            return np.asarray(np.where(np.abs(a - b) <= EQUAL * size, 1.0, -np.abs(a - b) / size))
+        return np.asarray((a - b) / size if self.sign == ">" else (b - a) / size)
+
+
+def _conditions(query: str, names: Sequence[str], cell: bool) -> tuple[list[_Condition], float | None]:
+    """The conditions of a query, and the porosity that it asks for exactly."""
+    from sppm_pipeline.services.expression import Expression
+
+    found, porosity = [], None
+    for part in query.replace("^", "**").split(","):
+        match = re.fullmatch(r"(.+?)\s*(>=|<=|==|=|>|<)\s*(.+)", part.strip())
+        if match is None:
+            raise ConfigError(
+                f"{part.strip()!r} is no condition",
+                hint='for example "E_relative > 0.1, porosity = 0.7, strut > 0.3 mm"',
+            )
+        sides = [re.sub(r"(?<=\d)\s*mm\b", "", side) for side in (match[1], match[3])]
+        if (sides[0], sides[1]) != (match[1], match[3]) and not cell:
+            raise ConfigError(
+                f"{part.strip()!r} is in mm, and the size of the cell is missing", hint="give `cell`: 4 mm"
+            )
+        left, right = (Expression(side, names) for side in sides)
+        if left.text.strip() == POROSITY and match[2] in ("=", "==") and not right.used:
+            porosity = float(right.evaluate({}, 1)[0])
+        else:
+            found.append(_Condition(left, match[2].replace("==", "=")[0], right))
+    return found, porosity
+
+
+def find(query: str, *, cell: str | None = None, count: int = 5, minimize: str = "", maximize: str = "") -> list[Found]:
+    """Designs that meet conditions, by the atlas: nothing is computed but interpolation.
+
+    Parameters
+    ----------
+    query : str
+        Conditions with commas between them, of formulas of `E_relative`, `poisson`, `E_ratio` (largest over smallest
+        Young's modulus), `conductivity` (of the solid), `permeability`, `surface` (a volume), `strut`, `strut_thinnest`,
+        `pore` and `porosity`. Lengths are in mm with a `cell`, else in cell sizes.
+    cell : str, optional
+        Size of a cell, such as ``"4 mm"``.
+    count : int
+        Designs that are returned at most; they differ.
+    minimize, maximize : str, optional
+        A formula by which designs are ordered; by the least relative margin of all conditions if omitted.
+
+    Raises
+    ------
+    ConfigError
+        If a condition can't be read, or none of the candidates meets all.
+
+    Examples
+    --------
+    >>> import sppm_pipeline as sppm
+    >>> designs = sppm.find("E_relative > 0.05, porosity = 0.7", cell="4 mm", maximize="permeability")
+    >>> designs[0].values["E_relative"][1] > 0.05
+    True
+    """
+    return searched(query, cell=cell, count=count, minimize=minimize, maximize=maximize)[0]
+
+
+def searched(
+    query: str, *, cell: str | None, count: int, minimize: str = "", maximize: str = ""
+) -> tuple[list[Found], Mapping[str, F64]]:
+    """The designs of `find`, and the properties of all candidates that meet the conditions."""
+    from sppm_pipeline.services.expression import Expression
+
+    try:
+        edge = parse_length(cell).mm() if cell else 1.0
+    except ValueError as error:
+        raise ConfigError(f"`cell` is {cell!r}: {error}", hint="for example `4 mm`") from None
+    names = (*PROPERTIES, POROSITY)
+    conditions, porosity = _conditions(query, names, cell is not None)
+    atlas = Atlas.read()
+    rows: list[tuple[str, F64, int]] = []
+    tables: list[F64] = []
+    halves: list[F64] = []
+    powers = np.array(list(LENGTH_POWERS.values()))
+    for family, (_, ranges) in FAMILIES.items():
+        low, high = ranges[POROSITY]
+        if porosity is not None and not low <= porosity <= high:
+            continue
+        at = spread(CANDIDATES, len(ranges))
+        at[:, 0] = at[:, 0] if porosity is None else (porosity - low) / (high - low)
+        logs, half = atlas.logs(family, at)
+        for total in TOTALS:
+            values = np.exp(logs) * (edge * total ** (-1 / 3)) ** powers
+            tables.append(np.column_stack([values, low + at[:, 0] * (high - low)]))
+            rows += [(family, point, total) for point in at]
+            halves += [half] * len(at)
+    if not tables:
+        ranges_ = ", ".join(f"{name} {f.ranges[POROSITY]}" for name, f in FAMILIES.items())
+        raise ConfigError(f"no family has the porosity {porosity:g}", hint=f"there are {ranges_}")
+    table = np.concatenate(tables)
+    columns = dict(zip(names, table.T, strict=True))
+    margins = [condition.margin(columns, len(table)) for condition in conditions] or [np.ones(len(table))]
+    margin = np.min(margins, axis=0)
+    if minimize and maximize:
+        raise ConfigError("designs are ordered by one formula", hint="give `minimize` or `maximize`")
+    aim = Expression(minimize or maximize, names).evaluate(columns, len(table)) if minimize or maximize else -margin
+    aim = -aim if maximize else aim
+    good = np.flatnonzero(margin > 0)
+    if not len(good):
+        best = int(np.argmax(margin))
+        near = ", ".join(f"{name} {columns[name][best]:.3g}" for name in names)
+        raise ConfigError(
+            "no design of the atlas meets all conditions", hint=f"the nearest, {rows[best][0]}, has {near}"
+        )
+    chosen: list[int] = []
+    for k in good[np.argsort(aim[good], kind="stable")]:
+        family, point, _ = rows[k]
+        own = [j for j in chosen if rows[j][0] == family]
+        if len(own) < OF_A_FAMILY and all(np.abs(rows[j][1] - point).max() > NEAR for j in chosen):
+            chosen.append(int(k))
+        if len(chosen) == count:
+            break
+    found = []
+    for k in chosen:
+        family, point, total = rows[k]
+        bands = np.exp(halves[k])
+        values = {
+            name: (float(table[k, p] / bands[p]), float(table[k, p]), float(table[k, p] * bands[p]))
+            for p, name in enumerate(PROPERTIES)
+        }
+        parameters = {
+            name: float(f"{a + share * (b - a):.4g}")
+            for share, (name, (a, b)) in zip(point, FAMILIES[family].ranges.items(), strict=True)
+        }
+        found.append(Found(family, parameters, total, values, cell or ""))
+    return found, {name: column[good] for name, column in columns.items()}

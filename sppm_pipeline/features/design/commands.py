@@ -1,0 +1,89 @@
+"""``sppm find``: designs that meet conditions, by the atlas."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.design.atlas import Found
+
+
+def configure(parser: ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument(
+        "query", metavar="QUERY", help='conditions, such as "E_relative > 0.1, porosity = 0.7, strut > 0.3 mm"'
+    )
+    parser.add_argument("--cell", metavar="LENGTH", help="size of a cell, such as 4mm; lengths then are in mm")
+    parser.add_argument("--count", type=int, default=5, metavar="N", help="designs that are shown at most (5)")
+    order = parser.add_mutually_exclusive_group()
+    order.add_argument(
+        "--minimize", metavar="FORMULA", default="", help="order designs by a formula, the smallest first"
+    )
+    order.add_argument(
+        "--maximize", metavar="FORMULA", default="", help="order designs by a formula, the largest first"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="write a configuration for each design and a picture of all that fit",
+    )
+
+
+def execute(args: Namespace) -> int:
+    """Print the designs, and write what is asked for."""
+    from sppm_pipeline.features.design.atlas import PROPERTIES, searched
+
+    found, all_ = searched(args.query, cell=args.cell, count=args.count, minimize=args.minimize, maximize=args.maximize)
+    for number, one in enumerate(found, 1):
+        parameters = ", ".join(f"{name} {value:g}" for name, value in one.parameters.items())
+        print(f"{number}. {one.family}: {parameters}, {one.total} pores a cell")
+        for name in PROPERTIES:
+            low, value, high = one.values[name]
+            print(f"   {name:15} {value:10.4g}   {low:.4g} - {high:.4g}")
+    print(f"{len(all_['porosity'])} candidates meet the conditions; 90 % of cells lie in the bands")
+    if args.output is not None:
+        _write(args.output, args.query, found, all_)
+    return 0
+
+
+def _write(folder: Path, query: str, found: list[Found], candidates: Mapping[str, Any]) -> None:
+    from sppm_pipeline.errors import InputError
+
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(f"the folder {folder} is not empty", hint="name another with --output")
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, one in enumerate(found, 1):
+        (folder / f"found_{number}.yaml").write_text(one.configuration(f"found_{number}"), encoding="utf-8")
+    _draw(folder / "pareto.png", query, found, candidates)
+    print(f"wrote {len(found)} configurations and pareto.png to {folder}")
+
+
+def _draw(path: Path, query: str, found: list[Found], candidates: Mapping[str, Any]) -> None:
+    """All candidates that meet the conditions, those that none beats in both properties, and the designs found."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from sppm_pipeline.features.design.atlas import PROPERTIES
+    from sppm_pipeline.services.expression import names_in
+
+    named = [name for name in PROPERTIES if name in names_in(query.replace(",", " "))]
+    across, up = ([*named, *(name for name in ("E_relative", "permeability") if name not in named)])[:2]
+    x, y = candidates[across], candidates[up]
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    axes = figure.subplots()
+    axes.loglog(x, y, ".", color="0.75", markersize=3, label="candidates that meet the conditions")
+    order = np.argsort(-x, kind="stable")
+    front = order[y[order] >= np.maximum.accumulate(y[order])]
+    axes.step(x[front], y[front], where="post", color="0.3", label="none has more of both")
+    for number, one in enumerate(found, 1):
+        (x_low, x_, x_high), (y_low, y_, y_high) = one.values[across], one.values[up]
+        axes.errorbar(x_, y_, [[y_ - y_low], [y_high - y_]], [[x_ - x_low], [x_high - x_]], fmt="o", capsize=2)
+        axes.annotate(f"{number} {one.family}", (x_, y_), (5, 5), textcoords="offset points")
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    axes.legend()
+    figure.savefig(path, dpi=130)
