@@ -76,6 +76,8 @@ def cell(
     (4.0, 3)
     """
     # late: presets are listed without the program of plans and runs
+    from dataclasses import replace
+
     from sppm_pipeline.engine.api.functions import make_function
     from sppm_pipeline.engine.api.pipeline import Pipeline
     from sppm_pipeline.engine.api.registering import registry
@@ -84,6 +86,8 @@ def cell(
     from sppm_pipeline.engine.config.options import options_of, plain_option
     from sppm_pipeline.engine.config.problems import did_you_mean
     from sppm_pipeline.errors import ConfigError, Position
+    from sppm_pipeline.method.fields.microstructure import Microstructure
+    from sppm_pipeline.nouns.length import CELL_UNIT, Cell, Length, parse_length
 
     known = registry().presets
     if preset not in known:
@@ -95,6 +99,13 @@ def cell(
             f"the preset {preset!r} has no parameter {unknown[0]!r}",
             hint=did_you_mean(unknown[0], [*known[preset].params, *allowed]),
         )
+    # omega and mu without a unit count in the preset's own edge, so that the size is given to what they make
+    own = known[preset].params.get("edge")
+    size = parse_length(params["edge"]) if isinstance(own, (int, float)) and "edge" in params else Length(1)
+    if size.unit not in (None, CELL_UNIT) and not {"omega", "mu"} & params.keys():
+        del params["edge"]
+    else:
+        size = Length(1)
     where = Position(f"sppm.cell({preset!r})", 0, 0)
     nodes = {name: as_node(plain_option(value), where) for name, value in params.items()}
     stages = plain(stages_of(known[preset], where, nodes))
@@ -104,4 +115,7 @@ def cell(
         run = Pipeline(stages, name=preset, seed=seed).run(threads=threads, cache=False)
         found = run[run.record["stages"][-1]["id"]]
     made: ScalarField = found
+    if size.unit is not None and isinstance(made, Microstructure):
+        sized = Cell(size.mm(), True)
+        made = replace(made, cell=sized, graph=replace(made.graph, pores=replace(made.graph.pores, cell=sized)))
     return made

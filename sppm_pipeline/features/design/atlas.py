@@ -208,8 +208,8 @@ def find(query: str, *, cell: str | None = None, count: int = 5, minimize: str =
     ----------
     query : str
         Conditions with commas between them, of formulas of `E_relative`, `poisson`, `E_ratio` (largest over smallest
-        Young's modulus), `conductivity` (of the solid), `permeability`, `surface` (a volume), `strut`, `strut_thinnest`,
-        `pore` and `porosity`. Lengths are in mm with a `cell`, else in cell sizes.
+        Young's modulus), `conductivity` (of the solid), `permeability`, `surface` (a volume), `strut`,
+        `strut_thinnest`, `pore` and `porosity`. Lengths are in mm with a `cell`, else in cell sizes.
     cell : str, optional
         Size of a cell, such as ``"4 mm"``.
     count : int

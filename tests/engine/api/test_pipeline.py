@@ -213,3 +213,13 @@ def test_a_cell_of_a_preset_in_one_line():
         sppm.cell("papr", seed=1)
     with pytest.raises(sppm.ConfigError, match="has no parameter 'totl'"):
         sppm.cell("paper", seed=1, totl=60)
+
+
+def test_a_cell_of_the_paper_has_the_size_that_is_given():
+    """The paper's omega and mu count in its own edge, whatever the cell measures."""
+    plain, sized = (sppm.cell("paper", seed=1, total=30, **more) for more in ({}, {"edge": "4 mm"}))
+    assert (plain.edge_mm, sized.edge_mm, sized.graph.pores.cell.edge) == (None, 4.0, 4.0)
+    assert sized.finest_radius == plain.finest_radius
+    assert (sized.sample(16) == plain.sample(16)).all()
+    with pytest.raises(sppm.ConfigError, match="has no unit"):
+        sppm.cell("paper", seed=1, edge="4 mm", omega=20)
