@@ -283,7 +283,7 @@ def searched(
     for k in good[np.argsort(aim[good], kind="stable")]:
         family, point, _ = rows[k]
         own = [j for j in chosen if rows[j][0] == family]
-        if len(own) < OF_A_FAMILY and all(np.abs(rows[j][1] - point).max() > NEAR for j in chosen):
+        if len(own) < OF_A_FAMILY and all(np.abs(rows[j][1] - point).max() > NEAR for j in own):
             chosen.append(int(k))
         if len(chosen) == count:
             break

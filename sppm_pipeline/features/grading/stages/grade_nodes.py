@@ -22,7 +22,6 @@ from sppm_pipeline.features.grading.numerics.samples import (
     volumes,
 )
 from sppm_pipeline.nouns.length import UNITS_IN_MM
-from sppm_pipeline.services.expression import nearest
 from sppm_pipeline.services.formats.hexahedra_file import LARGEST_FILE, READERS
 from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
 
