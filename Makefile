@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: quickstart test test-oldest docs paper clean
+.PHONY: quickstart test test-oldest docs paper lock clean
 
 quickstart: $(VENV)/.installed  ## set up and run the main job; results are in runs/quickstart
 	@echo "== running configs/quickstart.yaml; the first run compiles for half a minute"
@@ -29,6 +29,10 @@ docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documen
 
 paper: $(VENV)/.installed-docs  ## run every figure and table of the paper and of the docs' results, and write their pages
 	$(BIN)/python docs/generate_paper.py --run
+
+lock:  ## write .ci/lock.txt: all that continuous integration installs, for all systems and versions, with hashes
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+		--extra test --extra images --extra volume --extra tables --extra docs pyproject.toml .ci/lock.in -o .ci/lock.txt
 
 $(VENV)/.installed: pyproject.toml
 	@echo "== making a virtual environment in $(VENV)"

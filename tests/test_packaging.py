@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import email
+import importlib.util
 import itertools
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -18,16 +21,23 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+_spec = importlib.util.spec_from_file_location("release", ROOT / ".ci" / "release.py")
+release = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(release)
+KNOWN = {"repository": "https://forge.example/sppm/sppm_pipeline", "contact": "security@sppm.example"}
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("dist")
+def build(folder: Path) -> Path:
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-t", "sdist", "-d", str(folder)],
         cwd=ROOT, check=True, capture_output=True,
     )  # fmt: skip
     return folder
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Path:
+    return build(tmp_path_factory.mktemp("dist"))
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +131,89 @@ def test_the_archives_are_complete(built):
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True).stdout.split("\n")
     missing = {name for name in tracked if name and (ROOT / name).exists()} - names
     assert missing == set()
+
+
+def test_a_second_build_is_the_same_bytes(built, tmp_path):
+    again = build(tmp_path)
+    names = sorted(file.name for file in built.iterdir())
+    assert names == sorted(file.name for file in again.iterdir())
+    assert all((built / name).read_bytes() == (again / name).read_bytes() for name in names)
+
+
+def links_of(text: str) -> list[str]:
+    return [found["target"] for found in release._LINK.finditer(text)]
+
+
+def test_no_link_of_the_readme_dies_in_an_index(built):
+    """Relative links of README.md lead nowhere there: they become absolute, or text while no address is known."""
+    (wheel,) = built.glob("*.whl")
+    archive = zipfile.ZipFile(wheel)
+    name = next(name for name in archive.namelist() if name.endswith("METADATA"))
+    metadata = email.message_from_bytes(archive.read(name))
+    assert all(re.match(r"https?:|#", target) for target in links_of(metadata.get_payload()))
+    source, version = (ROOT / "README.md").read_text(encoding="utf-8"), release.version_of(ROOT)
+    text = release.readme(source, release.settings(ROOT) | KNOWN, version)
+    absolute = links_of(text)
+    assert len(absolute) == len(links_of(source)) > 40
+    assert f"{KNOWN['repository']}/raw/v{version}/docs/pictures/turning.png" in absolute
+    assert f"{KNOWN['repository']}/blob/v{version}/docs/explanation/paper.md#graded-structures" in absolute
+    assert all(target.startswith("https://") for target in absolute)
+    bare = release.readme(source, release.settings(ROOT) | {"repository": ""}, version)
+    assert links_of(bare) == []
+    assert "CHANGELOG.md" in bare
+
+
+def test_addresses_stand_in_one_place():
+    known = release.settings(ROOT) | KNOWN
+    assert release.urls(release.settings(ROOT) | {"repository": ""}, "0.1.0") == {}
+    urls = release.urls(known, "0.1.0")
+    assert urls["Repository"] == KNOWN["repository"]
+    assert urls["Changelog"].endswith("/blob/v0.1.0/CHANGELOG.md")
+    assert {path.read_text(encoding="utf-8") == text for path, text in release.written(ROOT)} == {True}
+    filled = {path.name: text for path, text in release.written(ROOT, known | {"paper_arxiv": "2501.01234"})}
+    assert all("security@sppm.example" in filled[name] for name in ("SECURITY.md", "CODE_OF_CONDUCT.md"))
+    assert f'repository-code: "{KNOWN["repository"]}"' in filled["CITATION.cff"]
+    assert "doi: 10.48550/arXiv.2501.01234" in filled["CITATION.cff"]
+
+
+def test_a_release_without_addresses_is_refused(tmp_path):
+    for name in (*release.MARKED, ".ci/project.toml", "pyproject.toml", "sppm_pipeline/__init__.py", "CHANGELOG.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    settings, changes = tmp_path / ".ci" / "project.toml", tmp_path / "CHANGELOG.md"
+    text = re.sub(r'(?m)^(repository|contact) = ".*?"', r'\1 = ""', settings.read_text(encoding="utf-8"))
+    settings.write_text(text, encoding="utf-8")
+    found = release.problems(tmp_path)
+    assert ".ci/project.toml: repository is empty" in found
+    assert ".ci/project.toml: contact is empty" in found
+    for name, value in KNOWN.items():
+        text = text.replace(f'{name} = ""', f'{name} = "{value}"')
+    settings.write_text(text, encoding="utf-8")
+    version = release.version_of(tmp_path)
+    changes.write_text(re.sub(r"(?m)^## \[.*$", f"## [{version}] - 2026-12-01", changes.read_text(encoding="utf-8")))
+    assert any("is stale" in line for line in release.problems(tmp_path))
+    for path, new in release.written(tmp_path):
+        path.write_text(new, encoding="utf-8")
+    assert release.problems(tmp_path, tag=f"v{version}") == []
+    assert release.problems(tmp_path, tag="v9.0.0") == [f"the tag v9.0.0 is not v{version}"]
+    settings.write_text(text.replace("security@", "security at "), encoding="utf-8")
+    assert any("contact is neither" in line for line in release.problems(tmp_path))
+
+
+def test_what_continuous_integration_installs_is_all_that_is_needed():
+    """Each requirement is in the lock, with hashes, and so is each of the recipe for conda with the same bound."""
+    lock = (ROOT / ".ci" / "lock.txt").read_text(encoding="utf-8")
+    locked = set(re.findall(r"(?m)^([\w.-]+)(?:\[.*?\])?==\S+.*\\$", lock))
+    assert len(locked) == len(set(re.findall(r"(?m)^([\w.-]+)(?:\[.*?\])?==", lock))) > 50
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
+    for plugin in (ROOT / "plugins").glob("*/pyproject.toml"):
+        needed += tomllib.loads(plugin.read_text())["project"]["dependencies"]
+    names = {re.match(r"[\w.-]+", one)[0].lower().replace(".", "-") for one in needed} - {"sppm-pipeline", "pyvista"}
+    assert names - locked == set()
+    recipe = (ROOT / ".ci" / "conda" / "recipe.yaml").read_text(encoding="utf-8").replace(" >=", ">=")
+    assert all(f"- {one}\n" in recipe for one in project["dependencies"])
+    assert f'version: "{project["version"]}"' in recipe
 
 
 def test_lower_bounds_are_those_that_are_tested():

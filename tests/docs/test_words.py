@@ -17,8 +17,8 @@ import pytest
 from tests.docs.conftest import ROOT
 
 SEARCHED = (
-    "README.md",
-    "CHANGELOG.md",
+    "*.md",
+    ".ci/*.py",
     "docs/**/*.md",
     "docs/**/*.ipynb",
     "docs/*.py",

@@ -30,28 +30,17 @@ ROOT = Path(__file__).resolve().parents[2]
 LIMIT = 60.0
 """Seconds after which a mutant counts as noticed: it hangs."""
 
-_ELASTIC = ("tests/numerics/homogenization/stiffness", "tests/data/test_stiffness.py")
 TARGETS = {
-    "data/length": ("tests/data/test_length.py", "tests/formats/test_units.py"),
-    "data/stiffness": _ELASTIC,
-    "errors": ("tests/cli/test_cli.py",),
-    "numerics/grid": ("tests/numerics/test_grid.py",),
-    "numerics/homogenization/stiffness/bounds": _ELASTIC,
-    "numerics/homogenization/stiffness/convergence": _ELASTIC,
-    "numerics/homogenization/stiffness/directional": _ELASTIC,
-    "numerics/homogenization/stiffness/isotropy": _ELASTIC,
-    "numerics/target_search": ("tests/numerics/test_target_search.py",),
-    "numerics/homogenization/stiffness/voigt": _ELASTIC,
-    "numerics/porosity/boolean_model": ("tests/numerics/porosity/test_boolean_model.py",),
-    "numerics/porosity/level": ("tests/numerics/porosity/test_level.py", "tests/numerics/porosity/test_bracket.py"),
-    "numerics/porosity/line": ("tests/numerics/porosity/test_line.py",),
-    "numerics/sampling/spacing": ("tests/numerics/sampling/test_spacing.py",),
-    "formats/inp": (
-        "tests/formats/test_material_card.py",
-        "tests/formats/test_volume_meshes.py",
-        "tests/stages/write/test_volume_meshes.py",
-    ),
-}  # fmt: skip
+    "nouns/length": ("tests/nouns/test_length.py",),
+    "services/elastic/bounds": ("tests/services/elastic/test_bounds.py",),
+    "services/elastic/convergence": ("tests/services/elastic/test_convergence.py",),
+    "services/elastic/directional": ("tests/services/elastic/test_directional.py",),
+    "services/elastic/isotropy": ("tests/services/elastic/test_isotropy.py",),
+    "services/elastic/voigt": ("tests/services/elastic/test_voigt.py",),
+    "services/boolean_model": ("tests/services/test_boolean_model.py",),
+    "services/grid": ("tests/services/test_grid.py",),
+    "services/target_search": ("tests/services/test_target_search.py",),
+}
 """Modules, and the tests that should notice a change of theirs."""
 
 COMPARISONS = {

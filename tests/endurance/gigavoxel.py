@@ -3,7 +3,7 @@
     python tests/endurance/gigavoxel.py [VOXELS_ALONG_AN_EDGE]
 
 1000 voxels along each edge of a cube of 20 x 20 x 20 cells, floating islands removed, layers written as PNG. The
-process may reserve 1.5 GiB and keep 600 MiB resident. tests/cli/test_address_space.py slices twenty million.
+process may reserve 1.5 GiB and keep 600 MiB resident. tests/engine/cli/test_address_space.py slices twenty million.
 """
 
 from __future__ import annotations

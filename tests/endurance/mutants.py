@@ -4,7 +4,7 @@
 
 Every example in ``configs/`` is damaged COUNT times (10,000) by bytes, tokens, values and structure and checked in this
 process; DRY_RUNS of each (200) also go through ``sppm run --dry-run``. EXAMPLE is a name such as ``quickstart``; all if
-omitted. tests/cli/test_mutants.py holds a short form.
+omitted. tests/engine/cli/test_mutants.py holds a short form.
 """
 
 from __future__ import annotations
