@@ -16,7 +16,14 @@ _LINK = re.compile(r"(?P<picture>!?)\[(?P<text>(?:[^\[\]]|\[[^\]]*\])*)\]\((?P<t
 _MARKED = re.compile(
     r"(?P<begin>(?:<!-- |# )\[(?P<name>\w+)\](?: -->)?\n)(?P<text>.*?)(?P<end>(?:<!-- |# )\[/(?P=name)\])", re.DOTALL
 )
-MARKED = ("SECURITY.md", "CODE_OF_CONDUCT.md", "CITATION.cff", ".ci/conda/recipe.yaml", "docs/paper/paper.md")
+MARKED = (
+    "SECURITY.md",
+    "CODE_OF_CONDUCT.md",
+    "CITATION.cff",
+    ".ci/conda/recipe.yaml",
+    "docs/paper/paper.md",
+    "sppm_pipeline/engine/cli/cite.py",
+)
 """Files with marked blocks, which `written` fills."""
 
 
@@ -64,6 +71,7 @@ def _blocks(known: Mapping[str, Any], version: str) -> dict[str, str]:
         if repository
         else "",
         "paper": f"  doi: {doi}\n" if doi else "",
+        "doi": f'PAPER_DOI = "{doi}"\n',
         "about": f"  repository: {repository}\n" if repository else "",
         "authors": _authors(known["authors"]),
     }

@@ -34,6 +34,12 @@ from __future__ import annotations
 
 __version__ = "0.1.0"
 
+API = 1
+"""Version of the hooks and of what a stage is; raised when a change breaks plugins.
+
+The module of a plugin may hold ``SPPM_API_VERSION = 1``; it is then refused by a program with another number.
+"""
+
 TYPE_CHECKING = False  # importing `typing` would take longer than all else here
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -116,4 +122,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *_SUBFACES, "__version__"])
+    return sorted([*__all__, *_SUBFACES, "API", "__version__"])

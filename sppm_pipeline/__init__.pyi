@@ -92,3 +92,4 @@ from sppm_pipeline.stage import option as option
 stop_requested = _stop_requested
 
 __version__: str
+API: int

@@ -21,12 +21,6 @@ if TYPE_CHECKING:
 PROJECT = "sppm"
 """Name of the pluggy project; entry points of distributions stand in the group ``sppm``."""
 
-API_VERSION = 1
-"""Version of these hooks and of `sppm_pipeline.stage`; raised when a change breaks plugins.
-
-The module of a plugin may hold ``SPPM_API_VERSION = 1``; it is then refused by a program with another version.
-"""
-
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 

@@ -318,6 +318,8 @@ class Stage(ABC):
     requires : mapping of port to (attribute, advice)
         Attributes that the stage before a port must not have as False, as far as it has them, and what to write there;
         an error before any work starts.
+    sources : tuple of str
+        Publications whose method it implements, for ``sppm cite``.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -332,6 +334,7 @@ class Stage(ABC):
     is_random: ClassVar[bool] = False
     maps: ClassVar[bool] = False
     requires: ClassVar[Mapping[str, tuple[str, str]]] = {}
+    sources: ClassVar[tuple[str, ...]] = ()
     advice: ClassVar[str] = ""
 
     @abstractmethod

@@ -52,6 +52,10 @@ class Spinodoid(FieldMaker):
     """
 
     name: ClassVar[str] = "field.spinodoid"
+    sources: ClassVar[tuple[str, ...]] = (
+        "S. Kumar, S. Tan, L. Zheng, D. M. Kochmann: Inverse-designed spinodoid metamaterials. npj "
+        "Computational Materials 6, 2020. https://doi.org/10.1038/s41524-020-0341-6",
+    )
     is_random: ClassVar[bool] = True
 
     wavenumber: float = option(

@@ -168,6 +168,30 @@ def installed_version(name: str) -> str | None:
     return version_of(found) if found else None
 
 
+_MODULES = {
+    "pil": "pillow",
+    "skimage": "scikit-image",
+    "nrrd": "pynrrd",
+    "yaml": "pyyaml",
+    "dateutil": "python-dateutil",
+}
+"""Distributions of modules that have another name."""
+
+
+def imported_versions() -> dict[str, str]:
+    """Versions of all distributions of which a module is imported here; of other modules, what these state."""
+    names = {name.partition(".")[0] for name, module in list(sys.modules.items()) if getattr(module, "__file__", None)}
+    names |= {".".join(name.split(".")[:2]) for name in list(sys.modules) if name.startswith("ruamel.")}  # a namespace
+    found = {}
+    for name in sorted(names - sys.stdlib_module_names - {_PACKAGE}):
+        distribution = _installed().get(normal(_MODULES.get(name.lower(), name)))
+        if distribution is not None:
+            found[normal(distribution.name)] = version_of(distribution)
+        elif not name.startswith("_") and isinstance(version := getattr(sys.modules[name], "__version__", None), str):
+            found[name] = version
+    return found
+
+
 def requirements_of(name: str) -> list[str]:
     """Names of the distributions that one requires, for itself or for an extra other than those of its developers."""
     found = _installed().get(normal(name))

@@ -20,6 +20,8 @@ VERBS = {
     "verify": "check that a run directory still holds what was written, to the byte",
     "cache": "show, check or shrink what is kept between runs",
     "completion": "print the script that completes verbs, stages and options in a shell",
+    "fix": "rewrite former names of stages and options in a configuration",
+    "cite": "print what to cite: the program, the paper, and sources of the stages of a configuration",
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }

@@ -68,6 +68,7 @@ def _stage_or_error(name: str, registry: Registry) -> dict[str, Any]:
 
 def configure_schema(parser: ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write; printed if omitted")
+    parser.add_argument("--record", action="store_true", help="the schema of run.json, the record of a run")
     add_plugins(parser)
 
 
@@ -77,9 +78,14 @@ def execute_schema(args: Namespace) -> int:
     from sppm_pipeline.engine.plan.registry import Registry
     from sppm_pipeline.engine.plan.schema import configuration_schema
 
-    text = json.dumps(configuration_schema(Registry(plugins_from(args))), indent=1, ensure_ascii=False)
+    if args.record:
+        text = (Path(__file__).parents[1] / "run" / "record.schema.json").read_text(encoding="utf-8").rstrip()
+    else:
+        text = json.dumps(configuration_schema(Registry(plugins_from(args))), indent=1, ensure_ascii=False)
     if args.output is None:
         print(text)
+    elif args.record:
+        write_whole(args.output, f"{text}\n")
     else:
         write_whole(args.output, f"{text}\n")
         line = f"# yaml-language-server: $schema={args.output.name}"

@@ -31,6 +31,10 @@ KINDS = {
     "sampler": Kind("sample", "jittered_grid:JitteredGrid", "pores on a jittered grid"),
     "field": Kind("field", "gyroid_sheet:GyroidSheet", "a wall along the gyroid"),
     "writer": Kind("write", "openscad:WriteOpenScad", "meshes as OpenSCAD source"),
+    "reader": Kind("read", "pore_list:ReadPores", "pores from a list of their centers"),
+    "check": Kind("check", "dead_ends:CheckDeadEnds", "pores that only one tunnel reaches"),
+    "grader": Kind("grade", "radial:GradeRadial", "parameters that change with the distance from an axis"),
+    "layers": Kind("write", "portable_bitmap:WriteBitmaps", "layers as portable bitmaps"),
     "homogenizer": Kind("homogenize", "density_law:DensityLaw", "stiffness from the density alone"),
 }
 FORMER_KINDS = ("connector", "tiler", "executor")

@@ -82,6 +82,12 @@ def configure_run(parser: ArgumentParser) -> None:
     parser.add_argument("--log", type=Path, metavar="FILE", help="add these lines to a file")
     parser.add_argument("--json", action="store_true", help="print the run record as JSON")
     parser.add_argument("--report", action="store_true", help="write report.html as well, as `sppm report` does")
+    parser.add_argument(
+        "--bundle",
+        type=Path,
+        metavar="ZIP",
+        help="write an RO-Crate of configuration, inputs and results, to run again",
+    )
 
 
 def _count(text: str) -> int:
@@ -183,6 +189,10 @@ def _execute(args: Namespace) -> int:
         stack.close()
     if args.report:
         _write_report(args, path)
+    if args.bundle:
+        from sppm_pipeline.engine.run.crate import write_crate
+
+        write_crate(args.bundle, plan, path, record)
     if args.json:
         _print_json(record)
     elif args.quiet:

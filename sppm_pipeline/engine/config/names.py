@@ -16,7 +16,9 @@ REPORT = "report.html"
 """File that `sppm report` writes into a run directory; no part of the run, and taken away when another takes its
 place."""
 
-RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs", ".claim", REPORT})
+RESERVED_NAMES = frozenset(
+    {"run.json", "sha256sums", "sweep.csv", "sweep.csv-metadata.json", "sweep.json", "runs", ".claim", REPORT}
+)
 
 MAX_PART = 255
 """Bytes of a file's name; the limit of nearly every file system."""

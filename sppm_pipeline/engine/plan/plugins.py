@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 
 import pluggy
 
+import sppm_pipeline
 from sppm_pipeline import hookspecs
 from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
@@ -204,11 +205,11 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         plugin.error = PluginError(f"{plugin} can't be loaded: {first_line(error)}", hint=missing_module(error))
         plugin.error.__cause__ = error
         return
-    written_for = getattr(module, API_CONSTANT, hookspecs.API_VERSION)
-    if written_for != hookspecs.API_VERSION:
+    written_for = getattr(module, API_CONSTANT, sppm_pipeline.API)
+    if written_for != sppm_pipeline.API:
         plugin.error = BrokenContract(
             f"{plugin} was written for version {shown(written_for)} of the interface, this program has version "
-            f"{hookspecs.API_VERSION}",
+            f"{sppm_pipeline.API}",
             hint="install the version of the plugin for this program, or leave it out with --allow-plugins",
         )
         return

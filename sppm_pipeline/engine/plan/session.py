@@ -87,7 +87,8 @@ class RunRequest:
         elif self.text is not None:
             root = parse_yaml(self.text, self.file)
         else:
-            root, folder = read_yaml(path), path.parent
+            # the folder of a record is relative to it, and a link must not stand in the way from one to the other
+            root, folder = read_yaml(path), path.parent.resolve() if path.suffix == ".json" else path.parent
         configuration, problems = parse_configuration(root, path, folder)
         return without_fixed_axes(configuration, self.overrides), problems
 

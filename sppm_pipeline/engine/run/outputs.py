@@ -324,7 +324,7 @@ def _recorded_outputs(path: Path) -> list[str]:
 
 def _remove_unfinished(path: Path) -> None:
     """Remove staging areas and half-written records; the caller holds the lock, so that no other process uses them."""
-    for name in (RECORD, SUMS, "sweep.csv", "sweep.json"):
+    for name in (RECORD, SUMS, "sweep.csv", "sweep.csv-metadata.json", "sweep.json"):
         for half in path.glob(f".{name}.*"):
             half.unlink(missing_ok=True)
     for staging in path.glob(f"{STAGING}*"):

@@ -8,14 +8,15 @@ import json
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import sppm_pipeline
-from sppm_pipeline.engine.cache.identity import arithmetic, installed_version
+from sppm_pipeline.engine.cache.identity import arithmetic, imported_versions, installed_version
 from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan, step_options
 from sppm_pipeline.engine.plan.wiring import Step
@@ -47,14 +48,14 @@ def record_of(
     until: str | None,
     warnings: Sequence[str],
     extra: Mapping[str, Any] = MappingProxyType({}),
+    folder: Path | None = None,
 ) -> dict[str, Any]:
-    """The record as a dict; `config` comes first so that `sppm run run.json` need not read the rest."""
-    plugins = {
-        str(step.owner.name): step.owner
-        for group in (plan.steps, plan.after, *plan.recipes.values())
-        for step in group
-        if not step.owner.builtin
-    }
+    """The record as a dict; `config` comes first so that `sppm run run.json` need not read the rest.
+
+    Of a record that will lie in `folder`, no path is absolute.
+    """
+    steps = [step for group in (plan.steps, plan.after, *plan.recipes.values()) for step in group]
+    plugins = {str(step.owner.name): step.owner for step in steps if not step.owner.builtin}
     record: dict[str, Any] = {
         RECORD_KEY: RECORD_VERSION,
         "config": plan.document,
@@ -68,7 +69,9 @@ def record_of(
         "seconds": round(seconds, 6),
         "peak_memory_mb": peak_memory_mb(),
         "threads": threads,
-        "versions": versions(),
+        "versions": versions()
+        | ({} if status == "running" else imported_versions())
+        | _installed({name for step in steps for name in step.stage.libraries}),
         "plugins": [
             {"name": name, "distribution": plugin.distribution, "version": plugin.version}
             for name, plugin in plugins.items()
@@ -83,7 +86,39 @@ def record_of(
         "warnings": list(warnings),
         "error": error_entry(error) if error is not None else None,
     }
-    return record | dict(extra) | {"stages": list(stages)}
+    record |= dict(extra) | {"stages": list(stages)}
+    return record if folder is None else _movable(record, plan, folder, steps)
+
+
+def _movable(record: dict[str, Any], plan: Plan, folder: Path, steps: Sequence[Step]) -> dict[str, Any]:
+    """The record without absolute paths: the key `folder` is relative to the record, and all others to `folder`."""
+    base, here = str(plan.configuration.folder), os.path.abspath(folder)
+    values = [getattr(step.stage, name) for step in steps for name in options_of(type(step.stage))]
+    names = {*map(str, (value for value in values if isinstance(value, Path))), *map(str, plan.configuration.plugins)}
+    names.add(os.path.abspath(plan.configuration.file))
+    moved = {name: _relative(name, base) for name in names if os.path.isabs(name)} | {base: _relative(base, here)}
+    inside = tuple(f"{place}{os.sep}" for place in sorted({base, here}, key=len, reverse=True) if len(place) > 1)
+
+    def walk(value: Any) -> Any:
+        if isinstance(value, str):
+            if value in moved:
+                return moved[value]
+            for place in inside:
+                value = value.replace(place, "")
+            return value
+        if isinstance(value, Mapping):
+            return {name: walk(one) for name, one in value.items()}
+        return [walk(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+    found: dict[str, Any] = walk(record)
+    return found
+
+
+def _relative(path: str, start: str) -> str:
+    try:
+        return os.path.relpath(path, start)
+    except ValueError:  # another drive of Windows
+        return path
 
 
 def entry_of(step: Step, facts: Mapping[str, Any], seconds: float, memory: float | None, *, cached: bool) -> Entry:
@@ -111,7 +146,11 @@ def entry_of(step: Step, facts: Mapping[str, Any], seconds: float, memory: float
 def versions() -> dict[str, str]:
     """Versions of the program and the libraries below it; also of those that a run from the cache did not load."""
     found = {"sppm_pipeline": sppm_pipeline.__version__, "python": platform.python_version()}
-    return found | {name: version for name in _LIBRARIES if (version := installed_version(name)) is not None}
+    return found | _installed(_LIBRARIES)
+
+
+def _installed(names: Collection[str]) -> dict[str, str]:
+    return {name: version for name in sorted(names) if (version := installed_version(name)) is not None}
 
 
 def error_entry(error: SppmError) -> dict[str, Any]:
@@ -240,6 +279,7 @@ class Recorder:
             until=self._until,
             warnings=self.warnings,
             extra=extra,
+            folder=self.folder.path,
         )
         self.record = sealed(record)
         write_whole(self.folder.path / RECORD, json_text(self.record), durable=finished)

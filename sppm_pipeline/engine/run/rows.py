@@ -21,7 +21,7 @@ from sppm_pipeline.engine.run.events import breaches
 from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.record import error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import run_plan
-from sppm_pipeline.engine.run.sweep_table import numbers_of
+from sppm_pipeline.engine.run.sweep_table import numbers_of, units_of
 from sppm_pipeline.engine.run.workers import Driver, check_worker
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
 
@@ -116,6 +116,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     except SppmError as raised:
         record, error = getattr(raised, "record", {}), error_entry(raised)
     result = _result(path, row, record, error)
+    if record:
+        result["units"] = units_of(plan.steps, record.get("stages", ()))
     return result | {"host": socket.gethostname(), "warnings": warnings + result["warnings"]}
 
 
@@ -138,6 +140,7 @@ def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str,
         "seconds": record.get("seconds"),
         "warnings": _warnings(record),
         "columns": numbers_of(record.get("stages", ())),
+        "units": {},
         "files": _files(record),
         "record": record.get("sha256"),
         "breaches": breaches(record.get("audit")),

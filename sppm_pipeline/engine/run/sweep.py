@@ -21,7 +21,7 @@ from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs, stag
 from sppm_pipeline.engine.run.record import Recorder, mark_ended
 from sppm_pipeline.engine.run.rows import dead_row, ended_row, failed_row, overdue_error, run_row, store_in
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, rows_of
+from sppm_pipeline.engine.run.sweep_table import columns_of, csv_metadata, csv_text, rows_of
 from sppm_pipeline.engine.run.workers import announced
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError, described
@@ -45,7 +45,7 @@ def run_sweep(
     until: str | None = None,
     monitor: Monitor | None = None,
 ) -> dict[str, Any]:
-    """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
+    """Run all rows, then the stages of `after`, and write ``sweep.csv``, its metadata, ``sweep.json`` and ``run.json``.
 
     Row i runs in ``runs/<i>`` of the run directory; `plan` is that of the configuration without a row. A row whose
     worker died is run again alone. With `until`, `after` is left out. Without a cache, rows that an interrupted sweep
@@ -65,10 +65,14 @@ def run_sweep(
         # rows of an earlier, longer sweep would be taken for results of this one
         remove_stale_runs(path, names)
         columns = columns_of(found)
-        runs += [{key: value for key, value in run.items() if key not in ("columns", "files")} for run in found]
+        runs += [
+            {key: value for key, value in run.items() if key not in ("columns", "files", "units")} for run in found
+        ]
+        units = {name: unit for run in reversed(found) for name, unit in run["units"].items()}
         recorder.extra["outputs"] = [
             recorder.folder.add_file("sweep.csv", csv_text(columns)),
             recorder.folder.add_file("sweep.json", json_text(rows_of(columns))),
+            recorder.folder.add_file("sweep.csv-metadata.json", json_text(csv_metadata(columns, units))),
         ]
         # the table is there by now, whatever stopped the sweep
         if stopped is not None:

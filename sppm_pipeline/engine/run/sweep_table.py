@@ -66,6 +66,19 @@ def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
+def csv_metadata(columns: Mapping[str, Sequence[Any]], units: Mapping[str, str]) -> dict[str, Any]:
+    """What the columns of ``sweep.csv`` are, as CSV on the Web (W3C, 2015) has it: type and unit of each."""
+    described = []
+    for name, values in columns.items():
+        kinds = {type(value) for value in values if value is not None}
+        number = kinds and kinds <= {int, float, bool}
+        kind = ("integer" if kinds <= {int} else "number") if number and name != "run" else "string"
+        column: dict[str, Any] = {"titles": name, "datatype": kind, "required": False}
+        described.append(column | ({"schema:unitText": units[name]} if name in units else {}))
+    schema = {"columns": described}
+    return {"@context": "http://www.w3.org/ns/csvw", "url": "sweep.csv", "null": "", "tableSchema": schema}
+
+
 def csv_text(columns: Mapping[str, Sequence[Any]]) -> str:
     """The table as CSV; lists as JSON, nothing as an empty field."""
     text = io.StringIO()

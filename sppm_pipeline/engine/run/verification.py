@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.cache.identity import arithmetic
+from sppm_pipeline.engine.cache.identity import arithmetic, installed_version
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.config.names import REPORT
 from sppm_pipeline.engine.files import digest_of, files_in, tree_digest
@@ -67,7 +67,8 @@ def differences(path: Path) -> list[str]:
     then, now = record.get("platform", {}), arithmetic()
     names = dict.fromkeys((*(name for name in then if name.isupper()), *now))
     pairs = [(name, then.get(name), now.get(name)) for name in names if name.isupper() or name in then]
-    pairs += [(name, was, versions().get(name)) for name, was in record.get("versions", {}).items()]
+    known = versions()
+    pairs += [(name, was, known.get(name, installed_version(name))) for name, was in record.get("versions", {}).items()]
     # a run from the cache has compiled nothing, and so may this process
     optional = {"numba_target"}
     return [

@@ -28,6 +28,10 @@ class BoundedDegreeSubgraph(Connector):
     """
 
     name: ClassVar[str] = "connect.mbdst"
+    sources: ClassVar[tuple[str, ...]] = (
+        "M. Singh, L. C. Lau: Approximating minimum bounded degree spanning trees to within one of "
+        "optimal. Journal of the ACM 62(1), 2015. https://doi.org/10.1145/2629366",
+    )
     version: ClassVar[int] = 2
     follows_metric: ClassVar[bool] = True
 

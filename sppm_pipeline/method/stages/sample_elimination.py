@@ -20,6 +20,10 @@ class Elimination(Sampler):
     """
 
     name: ClassVar[str] = "sample.elimination"
+    sources: ClassVar[tuple[str, ...]] = (
+        "C. Yuksel: Sample elimination for generating Poisson disk sample sets. Computer Graphics Forum "
+        "34(2), 2015. https://doi.org/10.1111/cgf.12538",
+    )
     needs_whole_cell: ClassVar[str] = "it weighs the pores of a whole cell against each other"
 
     count: int = options.count(note="in one interior", minimum=1)

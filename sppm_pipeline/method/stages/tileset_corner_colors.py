@@ -20,6 +20,10 @@ class CornerColorsTileSet(TileSetMaker):
     """
 
     name: ClassVar[str] = "tileset.corner_colors"
+    sources: ClassVar[tuple[str, ...]] = (
+        "A. Lagae, P. Dutré: An alternative for Wang tiles: colored edges versus colored corners. ACM "
+        "Transactions on Graphics 25(4), 2006. https://doi.org/10.1145/1183287.1183296",
+    )
     kind: ClassVar[str] = "corner"
 
     colors: int = options.colors(2, note="of corners", maximum=3)

@@ -79,6 +79,10 @@ def test_a_new_plugin_is_found_and_passes_its_own_tests(kind, made, outcomes, mo
     assert f"sppm.{kind}" not in (root / "README.md").read_text()
     for path in root.rglob("*.*"):
         assert path.is_dir() or not any(word in path.read_text() for word in ("my_word", "my_plugin", "my_module"))
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    assert project["license"] == {"text": "BSD-3-Clause"}
+    assert f"authors of {root.name}" in (root / "LICENSE").read_text()
+    assert project["dependencies"] == ["sppm-pipeline>=0.1,<0.4"]
     assert [outcome for outcome in outcomes[kind] if outcome] == []
     assert len(outcomes[kind]) > 3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import stat
 import threading
 import time
@@ -315,5 +316,7 @@ def _text_of(request: RunRequest) -> str:
     from ruamel.yaml import YAML
 
     written = io.StringIO()
-    YAML().dump(json.loads(Path(request.file).read_bytes())["config"], written)
+    config = json.loads(Path(request.file).read_bytes())["config"]
+    folder = Path(request.file).resolve().parent / config["folder"]  # which a record has relative to itself
+    YAML().dump(config | {"folder": os.path.abspath(folder)}, written)
     return written.getvalue()

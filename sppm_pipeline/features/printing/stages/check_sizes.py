@@ -73,6 +73,11 @@ class CheckSizes(Stage):
     """
 
     name: ClassVar[str] = "check.sizes"
+    sources: ClassVar[tuple[str, ...]] = (
+        "T. Hildebrand, P. Rüegsegger: A new method for the model-independent assessment of thickness in "
+        "three-dimensional images. Journal of Microscopy 185, 1997. "
+        "https://doi.org/10.1046/j.1365-2818.1997.1340694.x",
+    )
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("strut.mean", "struts", "{unit}", "strut.deviation"), Headline("strut.between", "5-95 %"),
         Headline("pore.mean", "pores", "{unit}", "pore.deviation"), Headline("pore.between", "5-95 %"),

@@ -69,6 +69,10 @@ class SheetStage(Stage):
     """
 
     name: ClassVar[str] = "field.sheet"
+    sources: ClassVar[tuple[str, ...]] = (
+        "J. Swift, P. C. Hohenberg: Hydrodynamic fluctuations at the convective instability. Physical "
+        "Review A 15, 1977. https://doi.org/10.1103/PhysRevA.15.319",
+    )
     headline: ClassVar[tuple[Headline, ...]] = (Headline("period"), Headline("thinnest_wall", "thinnest wall"))
     reported: ClassVar[tuple[str, ...]] = ("period", "own_neighbors", "pockets", "void_shares.#2")
 

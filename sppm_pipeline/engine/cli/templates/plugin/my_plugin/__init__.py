@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from sppm_pipeline import hookimpl
 
+SPPM_API_VERSION = 1  # a program where `sppm_pipeline.API` is another number refuses this plugin
+
 
 @hookimpl
 def sppm_stages() -> dict[str, str]:
