@@ -98,29 +98,29 @@ pipeline:
 
 def test_a_record_repeats_its_run_from_anywhere(work, monkeypatch):
     first = work.run(FULL, to="a")
-    (work.folder / "deep" / "er").mkdir(parents=True)
-    record = work.folder / "deep" / "er" / "run.json"
-    (work.folder / "a" / "run.json").rename(record)
-    monkeypatch.chdir(work.folder / "deep")
+    (work.folder / "other").mkdir()
+    (work.folder / "a" / "run.json").rename(work.folder / "other" / "run.json")
+    monkeypatch.chdir(work.folder / "other")
     (work.folder / "config.yaml").unlink()
 
     def again(to, **overrides):
         from sppm_pipeline.engine.config.parameters import Overrides
 
-        request = RunRequest("er/run.json", ("sppm_pipeline.testing.synthetic",), (), False, Overrides(**overrides))
+        request = RunRequest("run.json", ("sppm_pipeline.testing.synthetic",), (), False, Overrides(**overrides))
         return run_plan(open_session(request).plan(), work.folder / to, threads=1)
 
     second = again("b")
     for name in ("number.txt", "text.txt"):
         assert (work.folder / "a" / name).read_bytes() == (work.folder / "b" / name).read_bytes()
     assert second["config"] == first["config"]
+    assert first["config"]["folder"] == ".."  # from the record; a record and what it reads move together
     third = again("c", params=("limit=0.2",))
     assert stage(third, "best")["summary"]["value"] <= 0.2
 
 
 def test_the_record_holds_every_option_and_keeps_parameters(work):
     config = work.run(FULL)["config"]
-    assert config["params"] == {"limit": 0.4, "file": str(work.folder / "in.txt"), "pair": [2, 3]}
+    assert config["params"] == {"limit": 0.4, "file": "in.txt", "pair": [2, 3]}
     assert config["recipes"]["r"][1] == {
         "stage": "check.limit", "id": "check.limit", "maximum": "${limit}", "soft": False
     }  # fmt: skip

@@ -78,7 +78,7 @@ def test_a_stuck_row_is_ended_and_named(tmp_path, how, jobs):
     alone = json.loads((tmp_path / "out/runs/0001/run.json").read_text())
     assert alone["status"] == "failed"
     left = sorted(file.name for file in (tmp_path / "out").iterdir())
-    assert left == ["SHA256SUMS", "run.json", "runs", "sweep.csv", "sweep.json"]
+    assert left == ["SHA256SUMS", "run.json", "runs", "sweep.csv", "sweep.csv-metadata.json", "sweep.json"]
 
 
 def test_a_guard_ends_with_its_worker_and_leaves_one_in_time_alone(tmp_path):

@@ -131,7 +131,7 @@ def test_a_sweep_and_its_files(work):
     assert float((out / "sum.txt").read_text()) == pytest.approx(total)
     assert record["status"] == "done"
     assert [entry["status"] for entry in record["runs"]] == ["done"] * 6
-    assert {entry["path"] for entry in record["outputs"]} == {"sweep.csv", "sweep.json"}
+    assert {entry["path"] for entry in record["outputs"]} == {"sweep.csv", "sweep.csv-metadata.json", "sweep.json"}
 
 
 def test_every_executor_gives_the_same(work):

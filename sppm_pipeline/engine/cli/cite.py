@@ -15,13 +15,13 @@ PAPER_DOI = ""
 PAPER = "Z. Wang, L. Tian, X. Liu, A. Sharf, L. Lu: Stochastic Porous Microstructures. Preprint, arXiv."
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_cite(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
     next(action for action in parser._actions if action.dest == "file").nargs = "?"
 
 
-def execute(args: Namespace) -> int:
+def execute_cite(args: Namespace) -> int:
     """Print the program, the paper, then the sources of the stages that are used and their plugins."""
     for number, text in enumerate(dict.fromkeys(_texts(args)), 1):
         print(textwrap.fill(text, 100, initial_indent=f"[{number}] ", subsequent_indent="    "))

@@ -25,13 +25,13 @@ Edit = tuple[int, int, str]
 """Characters of the text from, to, and what stands there instead."""
 
 
-def configure(parser: ArgumentParser) -> None:
+def configure_fix(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
     parser.add_argument("-n", "--dry-run", action="store_true", help="show what would change, and write nothing")
 
 
-def execute(args: Namespace) -> int:
+def execute_fix(args: Namespace) -> int:
     """Rewrite the file if the plan stays the same."""
     from sppm_pipeline.engine.files import write_whole
     from sppm_pipeline.engine.plan.session import open_session

@@ -87,31 +87,31 @@ def record_of(
         "error": error_entry(error) if error is not None else None,
     }
     record |= dict(extra) | {"stages": list(stages)}
-    return record if folder is None else _movable(record, plan, folder, steps)
+    return record if folder is None else movable(record, plan, folder)
 
 
-def _movable(record: dict[str, Any], plan: Plan, folder: Path, steps: Sequence[Step]) -> dict[str, Any]:
-    """The record without absolute paths: the key `folder` is relative to the record, and all others to `folder`."""
+def movable(value: Any, plan: Plan, folder: Path) -> Any:
+    """A record or a part of it without absolute paths: the key `folder` is relative to `folder`, others to that."""
     base, here = str(plan.configuration.folder), os.path.abspath(folder)
+    steps = [step for group in (plan.steps, plan.after, *plan.recipes.values()) for step in group]
     values = [getattr(step.stage, name) for step in steps for name in options_of(type(step.stage))]
     names = {*map(str, (value for value in values if isinstance(value, Path))), *map(str, plan.configuration.plugins)}
     names.add(os.path.abspath(plan.configuration.file))
     moved = {name: _relative(name, base) for name in names if os.path.isabs(name)} | {base: _relative(base, here)}
-    inside = tuple(f"{place}{os.sep}" for place in sorted({base, here}, key=len, reverse=True) if len(place) > 1)
+    return _walked(value, moved, (base, here))
 
-    def walk(value: Any) -> Any:
-        if isinstance(value, str):
-            if value in moved:
-                return moved[value]
-            for place in inside:
-                value = value.replace(place, "")
-            return value
-        if isinstance(value, Mapping):
-            return {name: walk(one) for name, one in value.items()}
-        return [walk(one) for one in value] if isinstance(value, (list, tuple)) else value
 
-    found: dict[str, Any] = walk(record)
-    return found
+def _walked(value: Any, moved: Mapping[str, str], folders: Collection[str]) -> Any:
+    """A value with these strings replaced, and names of these folders cut off wherever they stand in a text."""
+    if isinstance(value, str):
+        if value in moved:
+            return moved[value]
+        for place in sorted(folders, key=len, reverse=True):
+            value = value.replace(f"{place}{os.sep}", "") if len(place) > 1 else value
+        return value
+    if isinstance(value, Mapping):
+        return {name: _walked(one, moved, folders) for name, one in value.items()}
+    return [_walked(one, moved, folders) for one in value] if isinstance(value, (list, tuple)) else value
 
 
 def _relative(path: str, start: str) -> str:
@@ -304,7 +304,8 @@ def mark_ended(path: Path, status: str = "interrupted", error: SppmError | None 
     except (OSError, ValueError, KeyError, TypeError, SppmError):
         return
     if error is not None:
-        record["error"] = error_entry(error)
+        base = os.path.abspath(path / str(record.get("config", {}).get("folder", ".")))
+        record["error"] = _walked(error_entry(error), {}, (base, os.path.abspath(path)))
     with contextlib.suppress(SppmError):
         write_whole(path / RECORD, json_text(sealed(record | {"status": status})))
     folder.discard()

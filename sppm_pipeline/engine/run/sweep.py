@@ -18,7 +18,7 @@ from sppm_pipeline.engine.process.containment import CONTRACT, STAGE_TIME
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.executors import WorkerOptions, make_executor, serve
 from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs, staging_name
-from sppm_pipeline.engine.run.record import Recorder, mark_ended
+from sppm_pipeline.engine.run.record import Recorder, mark_ended, movable
 from sppm_pipeline.engine.run.rows import dead_row, ended_row, failed_row, overdue_error, run_row, store_in
 from sppm_pipeline.engine.run.runner import StepRunner
 from sppm_pipeline.engine.run.sweep_table import columns_of, csv_metadata, csv_text, rows_of
@@ -62,6 +62,7 @@ def run_sweep(
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))
         found, stopped = _run_rows(session, path, names, options, until, monitor)
+        found = movable(found, plan, path)
         # rows of an earlier, longer sweep would be taken for results of this one
         remove_stale_runs(path, names)
         columns = columns_of(found)

@@ -31,7 +31,8 @@ def test_absolute_paths_are_cut_to_their_last_name(text, shown):
 
 def test_a_report_holds_no_folder_of_its_author(copied):
     record = json.loads((copied / "run.json").read_bytes())
-    assert record["config"]["folder"].startswith("/")  # as every record has it
+    assert not record["config"]["folder"].startswith("/")
+    record["config"]["folder"] = "/home/jane doe/work"  # as records of former versions have it
     record["stages"][0]["options"]["path"] = "/home/jane doe/scan.nrrd"
     record["warnings"] = ["'/home/jane doe/scan.nrrd' is coarse"]
     record["status"] = "failed"
