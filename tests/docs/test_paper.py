@@ -7,12 +7,13 @@ If a page is stale, run ``python docs/generate_paper.py``; if a number has moved
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-from tests.docs.conftest import script
+from tests.docs.conftest import ROOT, script
 
 generator = script("generate_paper")
 NAMES = generator.RUN
@@ -118,3 +119,16 @@ def test_a_number_that_moves_is_noticed(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(changed, "RESULTS", tmp_path)
     changed.file_of(name).write_text(json.dumps(document), encoding="utf-8")
     assert changed.differences(name, tmp_path) == ["paper/worked_example, row 0: scores.T3 is 11, 12 is stored"]
+
+
+def test_the_article_quotes_numbers_of_the_tables():
+    """Each number with an error bar, and each with three digits behind the point, stands on a page of results."""
+    article = (ROOT / "docs" / "paper" / "paper.md").read_text(encoding="utf-8").partition("# Functionality")[2]
+    pages = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "explanation").glob("*.md"))
+    tables = "\n".join(line for line in pages.splitlines() if line.startswith("|"))
+    quoted = re.findall(r"\d\.\d+ ± \d\.\d+|\d\.\d{3,}", article)
+    assert len(quoted) >= 5
+    assert [number for number in quoted if number not in tables] == []
+    cited = set(re.findall(r"@(\w+)", (ROOT / "docs" / "paper" / "paper.md").read_text(encoding="utf-8")))
+    known = set(re.findall(r"@\w+\{(\w+),", (ROOT / "docs" / "paper" / "paper.bib").read_text(encoding="utf-8")))
+    assert cited == known
