@@ -27,4 +27,4 @@ class CheckDeadEnds(Stage):
         share = count / len(degrees)
         context.report(dead_ends=count, share=share)
         if share > self.maximum:
-            raise Rejected(f"{100 * share:.1f} % of the pores are dead ends; accepted are {100 * self.maximum:g} %")
+            raise Rejected(f"{100 * share:g} % of the pores are dead ends; accepted are {100 * self.maximum:g} %")
