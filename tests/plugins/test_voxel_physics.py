@@ -11,7 +11,7 @@ import pytest
 
 import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.plan.plugin_files import import_file
+from sppm_pipeline.engine.plan.plugins import import_file
 
 PLUGIN = Path(__file__).with_name("conduction") / "conduction.py"
 RUN = """\
