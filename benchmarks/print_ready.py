@@ -45,7 +45,7 @@ def tracked(solid: np.ndarray) -> None:
 
 
 def scanned(solid: np.ndarray) -> None:
-    from sppm_pipeline.features.printing.numerics.scan import PrintScan
+    from sppm_pipeline.features.printing.numerics.layers import PrintScan
 
     nz, ny, nx = solid.shape
     scan = PrintScan((nx, ny, nz), (1.0, 1.0), 1.0)
@@ -83,7 +83,7 @@ def peak(layers: int) -> float:
     """MB resident of a process that scans so many layers of 1920 x 1200 pixels, one after the other."""
     pattern = porous(8, 1200)
     wide = np.concatenate([pattern, pattern[:, :, :720]], 2)
-    from sppm_pipeline.features.printing.numerics.scan import PrintScan
+    from sppm_pipeline.features.printing.numerics.layers import PrintScan
 
     scan = PrintScan((1920, 1200, layers), (1.0, 1.0), 1.0)
     for k in range(layers):

@@ -35,7 +35,7 @@ def encoders() -> None:
     import numpy as np
     from scipy.ndimage import gaussian_filter
 
-    from sppm_pipeline.features.printing.formats import goo
+    from sppm_pipeline.features.printing.stages import write_goo as goo
     from sppm_pipeline.services.formats import png
 
     noise = gaussian_filter(np.random.default_rng(1).standard_normal((2400, 3840)), 12.0, mode="wrap")

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 import sppm_pipeline as sppm
 from sppm_pipeline.features.flow.stages.homogenize_permeability import HomogenizePermeability
 from sppm_pipeline.features.sheet.numerics.waves import Waves
-from sppm_pipeline.features.sheet.sheet_field import SheetField
-from sppm_pipeline.features.sheet.stages.field_sheet import SheetStage
+from sppm_pipeline.features.sheet.stages.field_sheet import SheetField, SheetStage
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.porosity.level import cut_for_porosity

@@ -15,8 +15,7 @@ from skimage.measure import marching_cubes as lewiner
 
 from benchmarks.kernels import paper_cell
 from benchmarks.measure import repeat_in_process, table
-from sppm_pipeline.features.surface.numerics.booleans import check_solid, run_boolean
-from sppm_pipeline.features.surface.numerics.level_set import run_level_set
+from sppm_pipeline.features.surface.solids import check_solid, run_boolean, run_level_set
 from sppm_pipeline.method.kernels.splat import add_kernels
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.mesh.closing import capped_marching_cubes

@@ -6,8 +6,8 @@ from sppm_pipeline.engine.process.interruption import Stop as Stop
 from sppm_pipeline.features.crushing.compression import CompressionCurve as CompressionCurve
 from sppm_pipeline.features.crushing.compression import CrushedBody as CrushedBody
 from sppm_pipeline.features.flow.acoustics import AcousticReport as AcousticReport
-from sppm_pipeline.features.flow.conductivity import ConductivityReport as ConductivityReport
-from sppm_pipeline.features.flow.numerics.acoustics import PoreParameters as PoreParameters
+from sppm_pipeline.features.flow.acoustics import PoreParameters as PoreParameters
+from sppm_pipeline.features.flow.permeability import ConductivityReport as ConductivityReport
 from sppm_pipeline.features.flow.permeability import PermeabilityReport as PermeabilityReport
 from sppm_pipeline.features.parts.part_result import PartResult as PartResult
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport as StatisticsReport

@@ -259,7 +259,7 @@ def escaped(text: str, most: int = 400) -> str:
     return html.escape(text[:most])
 
 
-NOTEBOOK_SIZE = (320, 260)
+NOTEBOOK_SIZE: tuple[int, int] = (320, 260)
 """Width and height of pictures in notebooks."""
 
 

@@ -16,6 +16,7 @@ I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
 U8 = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
+Array = NDArray[Any]
 
 
 def distinct(values: NDArray[Any], axis: int | None = None) -> NDArray[Any]:

@@ -16,9 +16,9 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, nearest
+from sppm_pipeline.services.arrays import F64
 
 MAX_LENGTH, MAX_DEPTH, MAX_OPERATIONS = 1000, 40, 200
 """Characters, depth of brackets, and numbers, names and operations of a formula."""
@@ -203,7 +203,7 @@ class Expression:
             self._compile(operand, names)
         self._program.append((len(of), make))
 
-    def evaluate(self, values: Mapping[str, NDArray[np.float64]], count: int) -> NDArray[np.float64]:
+    def evaluate(self, values: Mapping[str, F64], count: int) -> F64:
         """Its value at `count` points; not finite where the formula is not defined."""
         made = np.empty(count)
         # values that are not finite are found, and named with their place, by the map
@@ -213,7 +213,7 @@ class Expression:
                 made[own] = self._value({name: values[name][own] for name in self.used})
         return made
 
-    def _value(self, values: Mapping[str, NDArray[np.float64]]) -> Values:
+    def _value(self, values: Mapping[str, F64]) -> Values:
         stack: list[Values] = []
         for count, make in self._program:
             if count:

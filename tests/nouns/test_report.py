@@ -8,8 +8,7 @@ import pytest
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.features.crushing.compression import CompressionCurve, CrushedBody
 from sppm_pipeline.features.flow.acoustics import AcousticReport
-from sppm_pipeline.features.flow.conductivity import ConductivityReport
-from sppm_pipeline.features.flow.permeability import PermeabilityReport
+from sppm_pipeline.features.flow.permeability import ConductivityReport, PermeabilityReport
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.nouns.report import TEXT, Box, Headline, Number, Report, number, reports
 

@@ -8,7 +8,7 @@ import pytest
 
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.plan.plugins import import_file, load_plugins
-from sppm_pipeline.features.browser.live.data import head_of
+from sppm_pipeline.features.browser.live.page import head_of
 from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.nouns.viewers import viewer_of
 

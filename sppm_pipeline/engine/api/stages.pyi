@@ -11,14 +11,14 @@ from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.features.crushing.compression import CompressionCurve, CrushedBody
 from sppm_pipeline.features.flow.acoustics import AcousticReport
-from sppm_pipeline.features.flow.conductivity import ConductivityReport
+from sppm_pipeline.features.flow.permeability import ConductivityReport
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
-from sppm_pipeline.features.grading.blended import BlendedField
+from sppm_pipeline.features.grading.stages.field_blend import BlendedField
 from sppm_pipeline.features.grading.joined import JoinedSets
 from sppm_pipeline.features.parts.part_result import PartResult
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.features.walls.walls_field import WalledMicrostructure
+from sppm_pipeline.features.walls.stages.field_walls import WalledMicrostructure
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField

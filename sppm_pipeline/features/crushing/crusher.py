@@ -5,30 +5,158 @@ from __future__ import annotations
 import hashlib
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, DesignError, ScalarField, Size, Stage, Voxels, option, options
+from sppm_pipeline import Context, DesignError, ScalarField, Size, Voxels
 from sppm_pipeline.features.crushing.compression import CrushedBody
-from sppm_pipeline.features.crushing.crush_report import Table, change_between, is_quiet, numbers_of, warnings_of
-from sppm_pipeline.features.crushing.voxel_block import (
-    PERMUTED,
-    Frame,
-    binary_image,
-    frame_of,
-    loose_pieces,
-    turned_corner,
-)
-from sppm_pipeline.numerics import per_phase
+from sppm_pipeline.features.crushing.crusher_options import CrusherOptions
 
 if TYPE_CHECKING:
+    from sppm_pipeline.features.crushing.compression import CrushedBody
+    from sppm_pipeline.features.crushing.crusher_options import Table
     from sppm_pipeline.features.crushing.numerics.body import Body
     from sppm_pipeline.features.crushing.numerics.march import Failed, History, March
     from sppm_pipeline.features.crushing.numerics.material import Material
+
+SHARES = {
+    "kinetic": (0.05, "is in motion: the plates are too fast; lower `rate`"),
+    "hourglass": (0.10, "bends voxels rather than walls: raise `resolution`, walls want 4 voxels or more"),
+    "contact": (0.05, "is stored in overlapping surfaces: raise `resolution`, or lower `rate`"),
+    "damping": (0.10, "went into damping, which is numerical: lower `rate`"),
+    "unbalanced": (0.02, "is missing from the balance: lower `rate`, and don't trust this run"),
+}
+"""Fractions of the work of the plates above which a run triggers a warning: heuristics. Each is an error of about as
+much in the stress, so that a factor of two is one in the accuracy that passes without a word."""
+
+ADDED_MASS, PLATES = 0.30, 0.05
+"""Fraction of mass that may be added to crushed voxels, which slows waves by half as much, and by which the forces of
+both plates may differ, twice the error of their mean: heuristics for errors as above."""
+
+
+PLATEAU = (0.2, 0.4)
+"""Strains between which the plateau stress is taken."""
+
+
+def mean_stress(strain: NDArray[np.float64], stress: NDArray[np.float64], low: float, high: float) -> float:
+    """Mean of the stress between two strains, of as many records as there are."""
+    return float(stress[(strain >= low - 1e-9) & (strain <= high + 1e-9)].mean())
+
+
+def numbers_of(history: History, march: March, area: float, rate: float, young: float) -> dict[str, Any]:
+    """Summary numbers of a run, with its balance of energy."""
+    end = float(history.strain[-1])
+    stress = 0.5 * young / area * (history.top + history.bottom)
+    later = history.strain >= min(0.05, end / 2)
+    nx, ny, nz = march.body.shape
+    difference = np.sqrt(np.mean((history.top - history.bottom)[later] ** 2))
+    return {
+        "plateau": mean_stress(history.strain, stress, *PLATEAU) if end >= PLATEAU[1] - 1e-9 else None,
+        "work": float(history.work[-1] * young / (area * nz)),
+        "relative_density": len(march.body.corners) / (nx * ny * nz),
+        "rate": rate,
+        **{name: round(float(share), 6) for name, share in march.shares().items()},
+        "plates_differ": round(float(difference / max(np.abs(history.top[later]).mean(), 1e-300)), 6),
+        "added_mass": round(march.added_mass, 6),
+        **({"released": round(float(march.released.mean()), 6), "fragments": march.fragments()} if march.fails else {}),
+    }
+
+
+def is_quiet(numbers: Mapping[str, Any]) -> bool:
+    """True if the balance of energy gives no reason for a lower rate."""
+    shares = {name: SHARES[name][0] for name in ("kinetic", "damping", "unbalanced")} | {"plates_differ": PLATES}
+    return all(abs(numbers[name]) <= most for name, most in shares.items())
+
+
+def warnings_of(numbers: Mapping[str, Any], tables: tuple[Table, ...]) -> list[str]:
+    """Warnings for a run whose numbers are doubtful."""
+    if numbers["work"] <= 0:
+        return ["the plates met no resistance"]
+    found = [
+        f"{abs(numbers[name]):.1%} of the work {what}" for name, (most, what) in SHARES.items()
+        if abs(numbers[name]) > most
+    ]  # fmt: skip
+    if numbers["plates_differ"] > PLATES:
+        found.append(f"the forces of both plates differ by {numbers['plates_differ']:.1%}: lower `rate`")
+    if numbers["added_mass"] > ADDED_MASS:
+        found.append(f"crushed voxels were given {numbers['added_mass']:.0%} more mass: lower `rate`, or end earlier")
+    if any(b[1] < a[1] for table in tables for a, b in pairwise(table)):
+        found.append("the solid softens: strain gathers in single voxels, so that the result depends on `resolution`")
+    return found
+
+
+def change_between(one: CrushedBody, other: CrushedBody, fails: bool) -> float:
+    """Largest relative difference of plateau stress (of a short run, of its second half), highest stress, and work.
+
+    If the solid fails, that of the highest stress alone: which piece breaks next depends on everything.
+    """
+    end = float(min(one.strain[-1], other.strain[-1]))
+    found: list[tuple[float, ...]] = []
+    for body in (one, other):
+        highest = float(body.stress[body.strain <= PLATEAU[0]].max())
+        if fails:
+            found.append((highest,))
+            continue
+        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
+        found.append((level, highest, float(np.interp(end, body.strain, body.energies["external"]))))
+    return max((abs(after / before - 1) for before, after in zip(*found, strict=True) if before), default=0.0)
+
+
+PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
+"""Axes of an image z, y, x in the order that turns the axis of compression into the first."""
+
+
+class Frame(NamedTuple):
+    """Strain, positions of the nodes, plastic strain of the elements and which of them have failed."""
+
+    strain: float
+    nodes: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    released: NDArray[np.bool_]
+
+
+def frame_of(march: March) -> Frame:
+    """The march as it is now."""
+    return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32), march.released)
+
+
+def turned_corner(column: int, axis: int) -> int:
+    """The corner of a turned voxel that is at the upper end along x, y, z where bits 0, 1, 2 of `column` are set."""
+    low = [1 - (column >> c & 1) for c in range(3)]
+    x, y, z = low if axis == 2 else (low[1], low[2], low[0]) if axis == 0 else (low[2], low[0], low[1])
+    return x + 2 * y + 4 * z
+
+
+def binary_image(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
+    """Whole voxels of a field, (nz, ny, nx), cut at the level at which they have the density of a finer grid."""
+    values = field.sample(resolution, threads).T
+    density = float(field.solid(2 * resolution, threads).mean(dtype=np.float64))
+    count = round(density * values.size)
+    if not count:
+        return np.zeros(values.shape, np.uint8)
+    # voxels of one value go together, so that symmetry stays
+    most = np.partition(values.reshape(-1), count - 1)[count - 1]
+    with_them, without = values <= most, values < most
+    fewer = count - np.count_nonzero(without) < np.count_nonzero(with_them) - count
+    return np.asarray(without if fewer and without.any() else with_them).view(np.uint8)
+
+
+def loose_pieces(image: NDArray[np.uint8]) -> list[str]:
+    """Warnings for solid that carries nothing."""
+    from sppm_pipeline.numerics import find_components
+
+    found = find_components((image > 0).view(np.uint8), (False,) * 3, 6)
+    spanning = found.faces[:, 4] & found.faces[:, 5]
+    if not spanning.any():
+        return ["no load path between the plates: the force is zero until pieces meet"]
+    loose = float(found.sizes[~spanning].sum() / found.sizes.sum())
+    return [f"{loose:.2g} of the solid is not connected to the load path between the plates"] if loose else []
+
 
 AUTO = (0.02, 0.01, 0.005, 0.0025, 0.00125)
 """Rates that `auto` tries."""
@@ -49,174 +177,8 @@ heuristics. A factor of two changes how much an interruption costs, not the resu
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crusher(Stage):
-    """Base of stages that crush blocks: how, of which material, and what comes of it."""
-
-    advice: ClassVar[str] = "lower `resolution`, or raise `rate`"
-
-    resolution: int = options.resolution(24, note="of fields; images keep theirs", maximum=256)
-    axis: str = options.axis("z")
-    strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
-    least_strain: float = options.least_strain(
-        0.2, note="a run that fails earlier is an error, later a warning and a curve that ends there",
-        minimum=0.01,
-    )  # fmt: skip
-    rate: float | str | None = option(
-        None, help="speed of the plate over that of waves in a bar of the solid; auto halves it until nothing changes; "
-        "if omitted 0.01, halved as well below a density of 0.2 or if the balance of energy is not quiet",
-        minimum=1e-4, maximum=0.05, choices=("auto",),
-    )  # fmt: skip
-    plates: str = option(
-        "slip", help="whether the block slides on the plates, sticks to them, or is held by friction",
-        choices=("slip", "stick", "friction"),
-    )  # fmt: skip
-    friction: float = option(
-        0.2, help="coefficient of friction where the block touches itself, and of the plates", minimum=0, maximum=2
-    )
-    sides: str = option("free", help="whether the sides may bulge or are held by rollers", choices=("free", "confined"))
-    young: float | tuple[float, ...] = options.young(1.0, note="or of each phase from 1 on")
-    poisson: float | tuple[float, ...] = options.poisson(0.35, note="or of each phase from 1 on")
-    yield_stress: float | Table | tuple[Table, ...] = option(
-        (),
-        help="yield stress, or its table [[plastic strain, true stress], ...], or a table for each phase; an elastic "
-        "solid if empty",
-        minimum=0,
-        maximum=1e15,
-    )
-    failure: str = option(
-        "none",
-        help="how the solid fails: j2, its yield stress falls beyond the last plastic strain of its table; rankine, it "
-        "cracks where the largest principal stress reaches `tensile_strength`; or both",
-        choices=("none", "j2", "rankine", "both"),
-    )
-    fracture_energy: float | tuple[float, ...] | None = option(
-        None, help=f"work to failure per area of a crack, {options.EACH_PHASE}; in `stress_unit` times mm, which is "
-        "kJ/m2 for MPa, or times cell sizes where the cell has no size in mm", above=0, maximum=1e15,
-    )  # fmt: skip
-    tensile_strength: float | tuple[float, ...] | None = option(
-        None, help=f"stress at which the solid cracks, {options.EACH_PHASE}; the first yield stress if omitted",
-        above=0, maximum=1e15,
-    )  # fmt: skip
-    rubble: str = option(
-        "drop", help="whether nodes of failed voxels leave, or stay as points of mass that contact pushes",
-        choices=("drop", "keep"),
-    )  # fmt: skip
-    stress_unit: str = options.stress_unit("relative")
-    solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
-    frames: tuple[float, ...] = option(
-        (0.0, 0.15, 0.3, 0.45, 0.6), help="strains at which the deformed block is kept", minimum=0, maximum=0.8
-    )
-
-    def check_options(self) -> None:
-        """As many materials as phases, tables that rise from 0, stress that is not beyond the modulus."""
-        young, poisson, tables = self._young(), self._poisson(), self._tables()
-        if not young or len(poisson) != len(young) or len(tables) != len(young):
-            raise ConfigError(
-                f"`young` has {len(young)} values, `poisson` {len(poisson)}, and `yield_stress` {len(tables)} tables",
-                hint="give one of each, or one for every phase",
-            )
-        for modulus, table in zip(young, tables, strict=True):
-            strains, stresses = [row[0] for row in table], [row[1] for row in table]
-            if table and (strains[0] != 0 or any(b <= a for a, b in pairwise(strains))):
-                raise ConfigError(f"the plastic strains of `yield_stress` are {strains}; they start at 0 and rise")
-            if any(not 0 < stress <= modulus / 2 for stress in stresses):
-                raise ConfigError(
-                    f"`yield_stress` has {stresses} beside a Young's modulus of {modulus:g}",
-                    hint="give both in the same unit; yield stresses lie above 0 and below half of the modulus",
-                )
-        self._check_failure(young, tables)
-
-    def _check_failure(self, young: tuple[float, ...], tables: tuple[Table, ...]) -> None:
-        """What failure needs, and nothing that only failure uses without it."""
-        if self.failure == "none":
-            for name in ("fracture_energy", "tensile_strength"):
-                if getattr(self, name) is not None:
-                    raise ConfigError(
-                        f"`{name}` is of no use with `failure: none`", hint="write `failure: j2`, `rankine` or `both`"
-                    )
-            return
-        if self.fracture_energy is None:
-            raise ConfigError(f"`failure: {self.failure}` needs a `fracture_energy`")
-        for name in ("fracture_energy", "tensile_strength"):
-            if len(per_phase(getattr(self, name))) not in (0, 1, len(young)):
-                raise ConfigError(
-                    f"`{name}` has {len(per_phase(getattr(self, name)))} values, and `young` {len(young)}",
-                    hint="give one, or one for every phase",
-                )
-        if self.failure == "j2" and self.tensile_strength is not None:
-            raise ConfigError("`tensile_strength` is of no use with `failure: j2`", hint="write `failure: both`")
-        if self.failure != "rankine":
-            if not any(tables):
-                raise ConfigError(
-                    f"`failure: {self.failure}` needs a `yield_stress`", hint="an elastic solid fails by `rankine`"
-                )
-            for table in tables:
-                if any(b[1] < a[1] for a, b in pairwise(table)):
-                    raise ConfigError(
-                        f"`yield_stress` falls: {[row[1] for row in table]}",
-                        hint="leave out what falls: the solid softens by its `fracture_energy`",
-                    )
-        strengths = self._strengths()
-        if self.failure != "j2" and any(not 0 < f <= e / 2 for f, e in zip(strengths, young, strict=True)):
-            raise ConfigError(
-                f"`tensile_strength` is {strengths} (of a solid that does not yield it must be given) beside Young's "
-                f"moduli {young}",
-                hint="give both in the same unit; it lies above 0 and below half of the modulus",
-            )
-
-    def _young(self) -> tuple[float, ...]:
-        return self.young if isinstance(self.young, tuple) else (self.young,)
-
-    def _poisson(self) -> tuple[float, ...]:
-        given = self.poisson if isinstance(self.poisson, tuple) else (self.poisson,)
-        return given * len(self._young()) if len(given) == 1 else given
-
-    def _tables(self) -> tuple[Table, ...]:
-        """A table for each phase."""
-        given: Any = self.yield_stress
-        if isinstance(given, float):
-            given = ((0.0, given),)
-        flat = not given or isinstance(given[0][0:1] and given[0][0], float)
-        tables: tuple[Table, ...] = (given,) if flat else given
-        return tables * len(self._young()) if len(tables) == 1 else tables
-
-    def _strengths(self) -> tuple[float, ...]:
-        """Tensile strength of each phase."""
-        given = per_phase(self.tensile_strength)
-        if given:
-            return given * len(self._young()) if len(given) == 1 else given
-        return tuple(table[0][1] if table else math.inf for table in self._tables())
-
-    def _materials(self, edge: float) -> tuple[Material, ...]:
-        """Material of each phase in voxels with this edge, mm or cell sizes."""
-        from sppm_pipeline.features.crushing.numerics.material import Material
-
-        made = tuple(map(Material, self._young(), self._poisson(), self._tables()))
-        if self.failure == "none":
-            return made
-        energies = per_phase(self.fracture_energy)
-        energies = energies * len(made) if len(energies) == 1 else energies
-        softens, cracks = self.failure != "rankine", self.failure != "j2"
-        return tuple(
-            one._replace(fracture=energy / edge, strength=strength if cracks else math.inf, softens=softens)
-            for one, energy, strength in zip(made, energies, self._strengths(), strict=True)
-        )
-
-    def _check_snap_back(self, edge: float, cell: float | None, unit: str) -> None:
-        """Refuse voxels so large that the energy which one stores is more than a crack through it takes.
-
-        `edge` is that of a voxel, `cell` that of a cell, if a resolution can be named; both in `unit`.
-        """
-        if self.failure == "none":
-            return
-        largest = min(edge * m.fracture / m.least_fracture for m in self._materials(edge) if m.least_fracture > 0)
-        if edge > largest:
-            fine = "" if cell is None else f"`resolution: {math.ceil(cell / largest)}`, "
-            raise ConfigError(
-                f"voxels of {edge:.4g} {unit} store more energy than `fracture_energy: {self.fracture_energy}` takes "
-                f"up: their stress would snap back; the largest that are allowed have {largest:.4g} {unit}",
-                hint=f"write {fine}or a larger `fracture_energy`" if fine else "give a finer image, or a larger energy",
-            )
+class Crusher(CrusherOptions):
+    """Base of stages that crush blocks: what comes of it."""
 
     def crushing(self, source: Size) -> Size:
         """Elements times steps; voxels too large for the way in which the solid fails are refused."""

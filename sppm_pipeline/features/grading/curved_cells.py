@@ -19,6 +19,7 @@ from sppm_pipeline.features.grading.numerics.hexahedral_places import (
     points_in,
 )
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.arrays import F64, I32, I64
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.grading.numerics.hexahedral_mesh import OuterHexahedra
@@ -35,8 +36,8 @@ _STEP = 1e-5
 class Places(NamedTuple):
     """Points in cells: numbers of the cells (n,), -1 outside of all, and places in these (n, 3), 0 to 1 along axes."""
 
-    cell: NDArray[np.int32]
-    within: NDArray[np.float64]
+    cell: I32
+    within: F64
 
 
 class Mapped(NamedTuple):
@@ -44,8 +45,8 @@ class Mapped(NamedTuple):
     cell of the box; not positive where the mapping turns inside out.
     """
 
-    points: NDArray[np.float64]
-    volume: NDArray[np.float64]
+    points: F64
+    volume: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,40 +68,36 @@ class CurvedCells(ABC):
 
     @property
     @abstractmethod
-    def names(self) -> NDArray[np.int64]:
+    def names(self) -> I64:
         """Numbers that name each cell, (count, columns)."""
 
     @abstractmethod
-    def points(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, cell: NDArray[np.integer], within: F64) -> F64:
         """Points (n, 3) mm at places in cells; those slightly beyond 0 to 1 are continued."""
 
     @abstractmethod
-    def places(self, points: NDArray[np.float64]) -> Places:
+    def places(self, points: F64) -> Places:
         """The cells around points (n, 3) mm; those that follow each other should be near each other."""
 
     @abstractmethod
-    def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    def continued(self, points: F64) -> tuple[I32, F64]:
         """Cells of points, also those up to `MARGIN` outside, and places in the lattice that was bent, (n, 3); -1
         farther out.
 
         Where there was no lattice, as in a mesh of any shape, places are those in the cell.
         """
 
-    def derivatives(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, cell: NDArray[np.integer], within: F64) -> F64:
         """Derivatives of `points`, (n, 3, 3) mm; column a is that along axis a."""
         steps = _STEP * np.eye(3)
         columns = [(self.points(cell, within + e) - self.points(cell, within - e)) / (2 * _STEP) for e in steps]
         return np.stack(columns, axis=2)
 
-    def mapped_with_volume(
-        self, cell: NDArray[np.integer], within: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mapped_with_volume(self, cell: NDArray[np.integer], within: F64) -> tuple[F64, F64]:
         """Points (n, 3) mm at places in cells, and the volume of a unit there, (n,) mm^3."""
         return self.points(cell, within), np.abs(np.linalg.det(self.derivatives(cell, within)))
 
-    def inner(
-        self, per_axis: int, cells: NDArray[np.integer] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def inner(self, per_axis: int, cells: NDArray[np.integer] | None = None) -> tuple[F64, F64]:
         """Points in all or some cells, (cells, per_axis^3, 3) mm, and volumes that they stand for, (cells,
         per_axis^3).
         """
@@ -112,17 +109,17 @@ class CurvedCells(ABC):
         return points.reshape(*shape, 3), volume.reshape(shape) / len(within)
 
     @cached_property
-    def centers(self) -> NDArray[np.float64]:
+    def centers(self) -> F64:
         """Middles of the cells, (count, 3) mm."""
         return frozen(self.points(np.arange(self.count), np.full((self.count, 3), 0.5)))
 
     @cached_property
-    def frames(self) -> NDArray[np.float64]:
+    def frames(self) -> F64:
         """Derivatives in the middles, (count, 3, 3) mm."""
         return frozen(self.derivatives(np.arange(self.count), np.full((self.count, 3), 0.5)))
 
     @cached_property
-    def volumes(self) -> NDArray[np.float64]:
+    def volumes(self) -> F64:
         """Volumes of the cells, (count,) mm^3, by three points along each axis."""
         return frozen(self.inner(3)[1].sum(axis=1))
 
@@ -132,7 +129,7 @@ class CurvedCells(ABC):
         return 2
 
     @cached_property
-    def box(self) -> NDArray[np.float64]:
+    def box(self) -> F64:
         """Low and high corner of what the cells fill, (2, 3) mm, by points on their edges and faces."""
         t = np.linspace(0, 1, self._along_an_edge)
         within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
@@ -152,11 +149,11 @@ class BentBox(CurvedCells):
     around: float  # angle that the box fills around the axis, radians
 
     @abstractmethod
-    def mapped(self, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, places: F64) -> Mapped:
         """Points at places (n, 3) of the box, in cell sizes from its low corner."""
 
     @abstractmethod
-    def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unmapped(self, points: F64) -> F64:
         """Places in the box (n, 3) of points (n, 3) mm."""
 
     @property
@@ -164,7 +161,7 @@ class BentBox(CurvedCells):
         return math.prod(self.shape)
 
     @property
-    def names(self) -> NDArray[np.int64]:
+    def names(self) -> I64:
         return np.stack(np.unravel_index(np.arange(self.count), self.shape), axis=1).astype(np.int64)
 
     @property
@@ -184,7 +181,7 @@ class BentBox(CurvedCells):
         return 2 + math.ceil(64 * self._arc / math.pi)
 
     @cached_property
-    def box(self) -> NDArray[np.float64]:
+    def box(self) -> F64:
         """Low and high corner of what the cells fill, (2, 3) mm, and of what bulges between the points by which."""
         low, high = super().box
         radius = self.inner_radius + self.edge * self.shape[2]
@@ -192,32 +189,30 @@ class BentBox(CurvedCells):
         bulge = radius * (1 - math.cos(self._arc / (self._along_an_edge - 1) / math.sqrt(2))) * np.array(self._bulging)
         return frozen(np.array([low - bulge, high + bulge]))
 
-    def points(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, cell: NDArray[np.integer], within: F64) -> F64:
         return self.mapped(np.stack(np.unravel_index(cell, self.shape), axis=1) + within)[0]
 
-    def mapped_with_volume(
-        self, cell: NDArray[np.integer], within: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mapped_with_volume(self, cell: NDArray[np.integer], within: F64) -> tuple[F64, F64]:
         points, volume = self.mapped(np.stack(np.unravel_index(cell, self.shape), axis=1) + within)
         return points, volume * self.edge**3
 
-    def places(self, points: NDArray[np.float64]) -> Places:
+    def places(self, points: F64) -> Places:
         place = self.unmapped(points)
         cell = self._cell_of(place, 0.0)
         site = np.stack(np.unravel_index(np.maximum(cell, 0), self.shape), axis=1)
         return Places(cell, np.clip(place - site, 0.0, 1.0))
 
-    def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    def continued(self, points: F64) -> tuple[I32, F64]:
         place = self.unmapped(points)
         return self._cell_of(place, MARGIN), place
 
-    def _cell_of(self, place: NDArray[np.float64], margin: float) -> NDArray[np.int32]:
+    def _cell_of(self, place: F64, margin: float) -> I32:
         size = np.array(self.shape)
         inside = ((place >= -margin) & (place <= size + margin)).all(axis=1)
         site = np.clip(np.floor(place), 0, size - 1).astype(np.int64)
         return np.where(inside, np.ravel_multi_index(tuple(site.T), self.shape), -1).astype(np.int32)
 
-    def _angle(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _angle(self, points: F64) -> F64:
         """Angles around the axis; in the gap of what is no full turn those below zero belong to its nearer end."""
         # from -pi to pi; the far half of the gap belongs to the end of the box, beyond pi for more than half a turn
         angle = np.arctan2(points[:, 1], points[:, 0])
@@ -229,13 +224,13 @@ class BentBox(CurvedCells):
 class CylinderCells(BentBox):
     """A box bent to the wall of a tube around the z axis: x goes around, y along the axis, z outwards."""
 
-    def mapped(self, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, places: F64) -> Mapped:
         angle, r = self.turn * places[:, 0], self.inner_radius + self.edge * places[:, 2]
         points = np.stack([r * np.cos(angle), r * np.sin(angle), self.edge * places[:, 1]], axis=1)
         # x, y, z of the box are around, upwards, outwards: a right-handed frame
         return Mapped(points, self.turn * r / self.edge)
 
-    def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unmapped(self, points: F64) -> F64:
         r = np.hypot(points[:, 0], points[:, 1])
         outwards = (r - self.inner_radius) / self.edge
         return np.stack([self._angle(points) / self.turn, points[:, 2] / self.edge, outwards], axis=1)
@@ -258,7 +253,7 @@ class SphereCells(BentBox):
         """Angle that a cell fills to the north, radians."""
         return self.climb / self.shape[1]
 
-    def mapped(self, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, places: F64) -> Mapped:
         turn, rise = self.turn, self.rise
         longitude = turn * places[:, 0]
         latitude = self.south + rise * places[:, 1]
@@ -267,7 +262,7 @@ class SphereCells(BentBox):
         points = np.stack([across * np.cos(longitude), across * np.sin(longitude), r * np.sin(latitude)], axis=1)
         return Mapped(points, turn * across * rise * r / self.edge**2)
 
-    def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unmapped(self, points: F64) -> F64:
         across = np.hypot(points[:, 0], points[:, 1])
         latitude, r = np.arctan2(points[:, 2], across), np.hypot(across, points[:, 2])
         return np.stack(
@@ -281,28 +276,28 @@ class SphereCells(BentBox):
 class AffineCells(BentBox):
     """A box that is stretched and turned about its middle; where it repeats, its images fill a region."""
 
-    matrix: NDArray[np.float64]  # (3, 3), of vectors
-    middle: NDArray[np.float64]  # (3,) mm, where the middle of the box comes to lie
-    region: NDArray[np.float64] | None = None  # low and high corner, (2, 3) mm; None for the box alone
+    matrix: F64  # (3, 3), of vectors
+    middle: F64  # (3,) mm, where the middle of the box comes to lie
+    region: F64 | None = None  # low and high corner, (2, 3) mm; None for the box alone
 
     def __post_init__(self) -> None:
         for name in ("matrix", "middle"):
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), np.float64)))
 
-    def mapped(self, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, places: F64) -> Mapped:
         moved = self.edge * (places - np.array(self.shape) / 2) @ self.matrix.T
         return Mapped(self.middle + moved, np.full(len(places), np.linalg.det(self.matrix)))
 
-    def unmapped(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        back: NDArray[np.float64] = (points - self.middle) @ np.linalg.inv(self.matrix).T
+    def unmapped(self, points: F64) -> F64:
+        back: F64 = (points - self.middle) @ np.linalg.inv(self.matrix).T
         return back / self.edge + np.array(self.shape) / 2
 
     @cached_property
-    def box(self) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = super().box if self.region is None else frozen(self.region)
+    def box(self) -> F64:
+        found: F64 = super().box if self.region is None else frozen(self.region)
         return found
 
-    def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    def continued(self, points: F64) -> tuple[I32, F64]:
         cell, place = super().continued(points)
         return (cell if self.region is None else np.zeros_like(cell)), place
 
@@ -311,7 +306,7 @@ class AffineCells(BentBox):
 class HexahedralCells(CurvedCells):
     """Trilinear hexahedra, or parts into which they were cut."""
 
-    corners: NDArray[np.float64]  # (m, 2, 2, 2, 3) mm, nodes by x, y, z of each cell
+    corners: F64  # (m, 2, 2, 2, 3) mm, nodes by x, y, z of each cell
     parts: int = 1  # how many cells a hexahedron of the mesh was cut into; they follow each other
     shape: tuple[int, int, int] | None = None  # of a block, whose cells are in C order; None for a mesh of any shape
 
@@ -323,7 +318,7 @@ class HexahedralCells(CurvedCells):
         return len(self.corners)
 
     @property
-    def names(self) -> NDArray[np.int64]:
+    def names(self) -> I64:
         number = np.arange(self.count)
         if self.shape is not None:
             return np.stack(np.unravel_index(number, self.shape), axis=1).astype(np.int64)
@@ -333,15 +328,13 @@ class HexahedralCells(CurvedCells):
     def columns(self) -> tuple[str, ...]:
         return ("i", "j", "k") if self.shape is not None else ("hexahedron", "part")
 
-    def points(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, cell: NDArray[np.integer], within: F64) -> F64:
         return points_in(self.corners, cell, within)[0]
 
-    def derivatives(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, cell: NDArray[np.integer], within: F64) -> F64:
         return points_in(self.corners, cell, within)[1]
 
-    def mapped_with_volume(
-        self, cell: NDArray[np.integer], within: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mapped_with_volume(self, cell: NDArray[np.integer], within: F64) -> tuple[F64, F64]:
         return points_and_volumes(self.corners, cell, within)
 
     @cached_property
@@ -353,7 +346,7 @@ class HexahedralCells(CurvedCells):
         """Hexahedra that continue the cells beyond the boundary of the mesh."""
         return outer_hexahedra(self.corners, MARGIN)
 
-    def rim(self, per_axis: int = 5) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def rim(self, per_axis: int = 5) -> tuple[F64, I32]:
         """Points on the faces at which the mesh ends, (n, 3) mm, and the cells to which these faces belong, (n,)."""
         t, outer = np.linspace(0, 1, per_axis), self.outer
         u, v = (a.ravel() for a in np.meshgrid(t, t, indexing="ij"))
@@ -369,15 +362,15 @@ class HexahedralCells(CurvedCells):
         return np.concatenate(points), np.concatenate(cells)
 
     @cached_property
-    def _every(self) -> tuple[BoxTree, NDArray[np.float64]]:
+    def _every(self) -> tuple[BoxTree, F64]:
         """The cells, and behind them those that continue them: of several that hold a point the first one counts."""
         every = np.concatenate([self.corners, self.outer.corners])
         return hexahedron_tree(every), every
 
-    def places(self, points: NDArray[np.float64]) -> Places:
+    def places(self, points: F64) -> Places:
         return Places(*places_in(self._tree, self.corners, points))
 
-    def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    def continued(self, points: F64) -> tuple[I32, F64]:
         cell, within = places_in(*self._every, points, apart=self.count)
         beyond = np.flatnonzero(cell >= self.count)
         number, outer = cell[beyond] - self.count, self.outer

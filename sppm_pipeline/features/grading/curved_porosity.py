@@ -7,13 +7,11 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE
-from sppm_pipeline.features.grading.numerics.bricks import cubic_in_layers, linear_in_layers
 from sppm_pipeline.features.grading.numerics.cell_level import (
     CellSamples,
     ControlLattice,
@@ -22,13 +20,14 @@ from sppm_pipeline.features.grading.numerics.cell_level import (
     means_over_cells,
     porosities_and_slopes,
 )
-from sppm_pipeline.features.grading.numerics.newton import LevelFit
-from sppm_pipeline.features.grading.warped_field import WarpedField
+from sppm_pipeline.features.grading.numerics.local_level import LevelFit
+from sppm_pipeline.features.grading.warped_field import WarpedField, cubic_in_layers, linear_in_layers
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, Bools
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ def curved_cells_of(field: ScalarField) -> CurvedCells | None:
     return field.curved if isinstance(field, (WarpedTiling, WarpedField)) else None
 
 
-def curved_targets(grading: Grading, name: str, curved: CurvedCells) -> NDArray[np.float64]:
+def curved_targets(grading: Grading, name: str, curved: CurvedCells) -> F64:
     """Means of a map over bent cells, by volume, (m,)."""
     points, volume = curved.inner(POINTS)
     values = grading[name].at(points.reshape(-1, 3)).reshape(volume.shape)
@@ -72,8 +71,8 @@ def curved_targets(grading: Grading, name: str, curved: CurvedCells) -> NDArray[
 class CellShares(NamedTuple):
     """Shares of each bent cell, all (m,): of what lies in the part, and of void in that."""
 
-    share: NDArray[np.float64]
-    porosity: NDArray[np.float64]
+    share: F64
+    porosity: F64
 
 
 class Found(NamedTuple):
@@ -81,11 +80,11 @@ class Found(NamedTuple):
     them.
     """
 
-    points: NDArray[np.float64]
-    cell: NDArray[np.int32]
-    volume: NDArray[np.float64]
-    value: NDArray[np.float32]
-    inside: NDArray[np.bool_]
+    points: F64
+    cell: I32
+    volume: F64
+    value: F32
+    inside: Bools
 
 
 def _layers_of_a_slab(layer: float) -> int:
@@ -121,7 +120,7 @@ class CurvedSamples:
         x, y, z = ((first + 0.5) * h).tolist()
         self.grid = Grid((x, y, z), (h, h, h), (nx, ny, nz))
 
-    def _slabs(self) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    def _slabs(self) -> Iterator[tuple[int, int, I64]]:
         """First layer and the one after the last between which points lie, and the cells that reach there."""
         corner = np.stack(np.meshgrid(*(np.linspace(0, 1, 9),) * 3, indexing="ij"), -1).reshape(-1, 3)
         low, high = np.empty(self.curved.count), np.empty(self.curved.count)
@@ -137,7 +136,7 @@ class CurvedSamples:
             stop = min(start + layers, nz - 2)
             yield start, stop, np.flatnonzero((low - slack < stop) & (high + slack >= start))
 
-    def _place(self, positions: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    def _place(self, positions: F64, axis: int) -> F64:
         """Positions along an axis, mm, counted in samples from the first one."""
         in_cells = (positions - self._origin[axis]) / self._edge
         return np.asarray((in_cells - self.grid.origin[axis]) / self.grid.spacing[axis])
@@ -149,7 +148,7 @@ class CurvedSamples:
                 yield from self._in_slab(start, stop, cells)
             progress(stop, self.grid.shape[2])
 
-    def _in_slab(self, start: int, stop: int, cells: NDArray[np.int64]) -> Iterator[Found]:
+    def _in_slab(self, start: int, stop: int, cells: I64) -> Iterator[Found]:
         first, last = start - 1, stop + 2
         # one layer before and two behind a slab, for cubics at its border
         distance = None
@@ -183,7 +182,7 @@ class CurvedSamples:
             void += np.bincount(some.cell, there * (some.value >= 0), self.curved.count)
         return CellShares(inside / whole, void / np.maximum(inside, 1e-300))
 
-    def for_level(self, lattice: ControlLattice) -> tuple[list[CellSamples], NDArray[np.float64]]:
+    def for_level(self, lattice: ControlLattice) -> tuple[list[CellSamples], F64]:
         """Samples in the part, of ln G for a sum G of kernels or of the field, and the share of each cell in it."""
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
@@ -216,14 +215,14 @@ def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLat
 def fit_curved_level(
     samples: CurvedSamples,
     bare: ScalarField,
-    targets: NDArray[np.float64],
+    targets: F64,
     start: float,
     bounds: tuple[float, float],
     near: float,
     tolerance: float,
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[LevelField, LevelFit, NDArray[np.bool_]]:
+) -> tuple[LevelField, LevelFit, Bools]:
     """The field with a level that gives each cell its porosity, the fit, and which cells had an equation."""
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
@@ -235,10 +234,10 @@ def fit_curved_level(
         raise DesignError("no cell lies in the part", hint="give smaller cells")
     done = 0
 
-    def control(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def control(values: F64) -> F64:
         return np.asarray((blend @ values).reshape(lattice.shape))
 
-    def measure(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def measure(values: F64) -> tuple[F64, F64]:
         nonlocal done
         done += 1
         progress(done, evaluations)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, Places, cell_means
@@ -35,6 +34,7 @@ from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.sampling.graded_blocks import NODES, density_means
 from sppm_pipeline.nouns.palette import Blocks, StretchedBlocks
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.metric import PLAIN, determinants
 from sppm_pipeline.stage import Context
 
@@ -115,7 +115,7 @@ class GradedCloud:
 
     wanted: Scattering
     grading: Grading
-    filled: NDArray[np.bool_]
+    filled: Bools
     edge: float
     origin: tuple[float, float, float]
 
@@ -149,7 +149,7 @@ class GradedCloud:
         del porosity
         places = dict[int, Places]()
 
-        def again(number: int, made: Tiling, errors: NDArray[np.float64]) -> Blocks | None:
+        def again(number: int, made: Tiling, errors: F64) -> Blocks | None:
             if number == rounds:
                 return None
             known, pores = np.isfinite(errors), made.tileset.micro.graph.pores
@@ -161,13 +161,13 @@ class GradedCloud:
         context.report(**report, cell_deviation=curve.deviation)
         return made
 
-    def _targets(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _targets(self, cells: I64) -> F64:
         if "porosity" in self.grading:
             return cell_means(self.grading, "porosity", self.edge, self.origin, cells)
         assert self.wanted.porosity is not None
         return np.full(len(cells), self.wanted.porosity)
 
-    def _errors(self, context: Context, places: dict[int, Places], number: int, made: Tiling) -> NDArray[np.float64]:
+    def _errors(self, context: Context, places: dict[int, Places], number: int, made: Tiling) -> F64:
         rounds, resolution = self.wanted.rounds, self.wanted.resolution
         # the last correction uses the full resolution, so that a coarse grid does before it
         n = resolution if number >= rounds - 1 else max(8, resolution // 2)
@@ -196,7 +196,7 @@ class GradedCloud:
                 return cells
         return LatticeCells(made, n, context.threads, places=places)
 
-    def _on_nodes(self, values: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+    def _on_nodes(self, values: Callable[[F64], F64]) -> F64:
         """Values (n, ...) at places (n, 3) mm, at the nodes of the density.
 
         Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones,
@@ -227,13 +227,13 @@ class GradedCloud:
                     reached[to] |= new
         return found
 
-    def _metric(self) -> NDArray[np.float64] | None:
+    def _metric(self) -> F64 | None:
         """Metrics at the nodes, (..., 6); None where nothing is stretched."""
         grading = self.grading.in_cells(self.edge, self.origin)
         if metric_at(grading, np.zeros((0, 3))) is None:
             return None
 
-        def here(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def here(points: F64) -> F64:
             metric = metric_at(grading, points)
             assert metric is not None
             return np.concatenate([metric, grading["stretch"].at(points)[:, None]], axis=1)
@@ -245,7 +245,7 @@ class GradedCloud:
             )
         return np.ascontiguousarray(found[..., :6])
 
-    def _density(self, context: Context) -> NDArray[np.float64]:
+    def _density(self, context: Context) -> F64:
         """Density by the sizes of pores alone, at the nodes."""
         grading, name, usual = self.grading.in_cells(self.edge, self.origin), "scale", 1.0
         if "pore_radius" in grading:
@@ -255,7 +255,7 @@ class GradedCloud:
         if "spacing" in grading:
             name, usual = "spacing", self._usual_spacing(context) * self.edge
 
-        def here(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def here(points: F64) -> F64:
             size = grading[name].at(points) / usual if name in grading else np.ones(len(points))
             # as many pores in a cube of the local spacing everywhere: the porosity stays where sizes vary
             density, metric = size**-3.0, metric_at(grading, points)
@@ -265,7 +265,7 @@ class GradedCloud:
 
         return self._on_nodes(here)
 
-    def _porosity(self) -> NDArray[np.float64] | None:
+    def _porosity(self) -> F64 | None:
         """The porosity that is wanted, at the nodes; None without a target."""
         if "porosity" in self.grading:
             return self._on_nodes(self.grading.in_cells(self.edge, self.origin)["porosity"].at)
@@ -286,7 +286,7 @@ class GradedCloud:
             )
         return float(pores.spacing)
 
-    def _warn_of_steepness(self, context: Context, density: NDArray[np.float64], total: int) -> None:
+    def _warn_of_steepness(self, context: Context, density: F64, total: int) -> None:
         steepest = 0.0
         for axis in range(3):
             for near, far in zip(np.moveaxis(density, axis, 0)[:-1], np.moveaxis(density, axis, 0)[1:], strict=True):

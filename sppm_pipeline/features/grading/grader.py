@@ -6,7 +6,6 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.method.nouns.maps import (
@@ -21,6 +20,7 @@ from sppm_pipeline.method.nouns.maps import (
 )
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.services.expression import CONSTANTS, FUNCTIONS, WORDS
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -125,9 +125,9 @@ class DataGrader(Grader):
                 context.warn(f"{100 * share:.0f} % of the part's box lie outside of the data; {what}")
         return law
 
-    def finite(self, values: NDArray[np.float64], what: str) -> NDArray[np.bool_]:
+    def finite(self, values: F64, what: str) -> Bools:
         """Which values are finite numbers; `InputError` if none is, or one is not and that is refused."""
-        good: NDArray[np.bool_] = np.isfinite(values)
+        good: Bools = np.isfinite(values)
         if not good.any():
             raise InputError(f"{what} hold no finite number")
         if self.missing == "refuse" and not good.all():
@@ -138,7 +138,7 @@ class DataGrader(Grader):
         return good
 
 
-def _box(box: NDArray[np.float64]) -> str:
+def _box(box: F64) -> str:
     """A box for a message."""
     low, high = ("(" + ", ".join(f"{v:g}" for v in corner) + ")" for corner in box)
     return f"{low} to {high} mm"

@@ -1,4 +1,10 @@
-"""Pores scattered in a mesh of hexahedra: so many in each cell, in sizes that follow the cells or stay."""
+"""Pores scattered in a mesh of hexahedra: so many in each cell, in sizes that follow the cells or stay.
+
+Dart throwing in hexahedra of any shape, by quota, with spacings that follow their size or stay.
+
+Two pores at p and q keep the mean of the spacings there, as in `blocks`, measured straight. Hexahedra are thrown one
+after the other, all into one list, so that spacings hold across their faces whatever the mesh looks like.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +13,13 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_targets
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling, cloud, laid_graph
-from sppm_pipeline.features.grading.numerics.curved_darts import GrowingCloud
-from sppm_pipeline.features.grading.numerics.hexahedral_determinant import largest_determinants
+from sppm_pipeline.features.grading.numerics.hexahedral_mesh import largest_determinants
+from sppm_pipeline.features.grading.numerics.hexahedral_places import point_and_volume
 from sppm_pipeline.features.grading.rounds import (
     corrected,
     curve_of,
@@ -28,7 +33,112 @@ from sppm_pipeline.method.families.tiler import HALO, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.sampling.blocks import ATTEMPTS, DARTS
+from sppm_pipeline.method.sampling.cell_list import CellList, add_point, bucket_of, empty_cell_list, next_uniform
+from sppm_pipeline.method.sampling.graded_blocks import is_free
+from sppm_pipeline.services.arrays import F64, I32, I64, U64
+from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.stage import Context, Recipe
+
+_ABOVE = 1.3  # the determinant is looked at in 27 places, and may be so much larger in between
+
+
+class GrowingCloud:
+    """Up to `capacity` pores thrown so far in a `box` (2, 3) mm, with the spacing that each keeps.
+
+    `widest` is the largest spacing that any pore keeps, mm; those of pores that keep more are not looked for far
+    enough. Where spacings follow the determinant, as in `throw` unless `by_volume`, it is that at its largest.
+    """
+
+    def __init__(self, capacity: int, widest: float, box: F64) -> None:
+        self._cells = empty_cell_list(capacity, widest, box[0], box[1], (False, False, False))
+        self._spacings = np.empty(capacity)
+
+    @property
+    def points(self) -> F64:
+        """All pores, (n, 3) mm, in the order in which they came."""
+        return self._cells.points[: self._cells.used[0]].copy()
+
+    def add(self, points: F64, spacings: F64) -> None:
+        """Add pores without looking at others."""
+        first = int(self._cells.used[0])
+        self._spacings[first : first + len(points)] = spacings
+        for x, y, z in points.tolist():
+            add_point(self._cells, x, y, z, 0, 0)
+
+    def throw(self, seed: int, corners: F64, quotas: I64, spacings: F64, by_volume: bool) -> I64:
+        """Throw `quotas` (m,) pores into hexahedra with `corners` (m, 2, 2, 2, 3) mm; returns for how many there was
+        no room, (m,).
+
+        Spacings (m,) are in mm; or, unless `by_volume`, in cube roots of the determinant. With `by_volume` pores are
+        as dense everywhere in a hexahedron; otherwise as in a cube that was bent to it, so that they are finer where
+        it is narrower.
+        """
+        missing = np.zeros(len(quotas), np.int64)
+        nodes = np.ascontiguousarray(corners.reshape(-1, 8, 3), np.float64)
+        state = np.array([seed % 2**64], np.uint64)
+        _throw(self._cells, self._spacings, state, nodes, quotas, spacings, by_volume, missing)
+        return missing
+
+    def take(self, candidates: F64, spacings: F64, group: I64, quotas: I64) -> None:
+        """Add those of the candidates (k, 3) that keep their spacings, in order, up to the quota of their group."""
+        _take(self._cells, self._spacings, candidates, spacings, group, quotas.copy())
+
+
+@jit
+def _remove_last(cells: CellList) -> None:
+    row = cells.used[0] - 1
+    i, j, k = bucket_of(cells, cells.points[row, 0], cells.points[row, 1], cells.points[row, 2])
+    cells.first[k, j, i] = cells.following[row]
+    cells.used[0] = row
+
+
+@jit
+def _throw(
+    cells: CellList, kept: F64, stream: U64, nodes: F64, quotas: I64, spacings: F64, by_volume: bool, missing: I64
+) -> None:
+    p, d = np.empty(3), np.empty((3, 3))
+    metric = np.empty(0)
+    for e in range(len(quotas)):
+        most = 0.0
+        if by_volume:
+            for i in range(27):
+                most = max(
+                    most, _ABOVE * point_and_volume(nodes[e], 0.5 * (i // 9), 0.5 * (i // 3 % 3), 0.5 * (i % 3), p, d)
+                )
+        wanted, placed = quotas[e], 0
+        for attempt in range(ATTEMPTS):
+            placed, darts = 0, 0
+            while placed < wanted and darts < DARTS * wanted + 1000:
+                x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
+                det = point_and_volume(nodes[e], x, y, z, p, d)
+                # places are uniform in the unit cube: rejection by the determinant makes them uniform in space
+                if by_volume and next_uniform(stream) * most > det:
+                    continue
+                darts += 1
+                own = spacings[e] if by_volume else spacings[e] * max(det, 0.0) ** (1.0 / 3.0)
+                if is_free(cells, kept, None, p, own, metric):
+                    kept[cells.used[0]] = own
+                    add_point(cells, p[0], p[1], p[2], 0, 0)
+                    placed += 1
+            if placed == wanted or attempt == ATTEMPTS - 1:
+                break
+            # a cell that jammed is emptied and thrown again, as adding to it would only find the last gaps
+            for _ in range(placed):
+                _remove_last(cells)
+        missing[e] = wanted - placed
+
+
+@jit
+def _take(cells: CellList, kept: F64, candidates: F64, spacings: F64, group: I64, left: I64) -> None:
+    metric = np.empty(0)
+    for n in range(len(candidates)):
+        p = candidates[n]
+        if left[group[n]] > 0 and is_free(cells, kept, None, p, spacings[n], metric):
+            kept[cells.used[0]] = spacings[n]
+            add_point(cells, p[0], p[1], p[2], 0, 0)
+            left[group[n]] -= 1
+
 
 RIM = 0.75
 """Distance outside of the mesh, in cells, within which pores are drawn, too: their kernels reach into it."""
@@ -48,29 +158,29 @@ class Surroundings:
         self.curved, self.fixed = curved, fixed
 
     @cached_property
-    def edges(self) -> NDArray[np.float64]:
+    def edges(self) -> F64:
         """Edge of a cube as large as each cell, (m,) mm."""
         return np.cbrt(self.curved.volumes) if self.fixed is None else np.full(self.curved.count, self.fixed)
 
     @cached_property
-    def largest_edges(self) -> NDArray[np.float64]:
+    def largest_edges(self) -> F64:
         """Upper bounds of `size_at` in each cell, (m,) mm."""
         return self.edges if self.fixed is not None else np.cbrt(largest_determinants(self.curved.corners))
 
     @cached_property
-    def _rim(self) -> tuple[Any, NDArray[np.int32]]:
+    def _rim(self) -> tuple[Any, I32]:
         from scipy.spatial import cKDTree
 
         points, cells = self.curved.rim()
         return cKDTree(points), cells
 
-    def nearest(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def nearest(self, points: F64) -> tuple[F64, I32]:
         """Distances of points from the surface of the mesh, mm, and the cells there."""
         tree, cells = self._rim
         distance, which = tree.query(points)
         return distance, cells[which]
 
-    def size_at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def size_at(self, points: F64) -> F64:
         """The edge of a cell at points (n, 3), mm: the cube root of the determinant; outside, of the nearest cell."""
         if self.fixed is not None:
             return np.full(len(points), self.fixed)
@@ -97,11 +207,11 @@ class HexahedralBlocks(FilledBlocks):
     edge: float = field(kw_only=True)  # of a block, mm
     origin: tuple[float, float, float] = field(kw_only=True)  # low corner of the first block, mm
     # pores of each cell of the mesh, which need not be whole; None for what the recipe's samplers state
-    quotas: NDArray[np.float64] | None = None
+    quotas: F64 | None = None
     # edge of the cell, mm, in which lengths of the recipe hold everywhere; None if they follow the mesh
     fixed: float | None = None
 
-    def in_mm(self, centers: NDArray[np.float64], piece: NDArray[np.int32]) -> NDArray[np.float64]:
+    def in_mm(self, centers: F64, piece: I32) -> F64:
         """Places of pores by their centers and blocks, (n, 3) mm."""
         return np.asarray((centers + self.sites[piece]) * self.edge + np.array(self.origin))
 
@@ -161,18 +271,14 @@ class HexahedralBlocks(FilledBlocks):
 class _Outside:
     """Darts around a mesh in the order in which they are thrown, and how many of each block are wanted."""
 
-    points: NDArray[np.float64]
-    spacings: NDArray[np.float64]
-    group: NDArray[np.int64]
-    quotas: NDArray[np.int64]
+    points: F64
+    spacings: F64
+    group: I64
+    quotas: I64
 
 
 def _around_the_mesh(
-    rng: np.random.Generator,
-    around: Surroundings,
-    blocks: HexahedralBlocks,
-    wanted: NDArray[np.float64],
-    spacings: NDArray[np.float64],
+    rng: np.random.Generator, around: Surroundings, blocks: HexahedralBlocks, wanted: F64, spacings: F64
 ) -> _Outside:
     """Darts where kernels reach in from, as dense as pores are in the nearest cell."""
     curved, origin = blocks.curved, np.array(blocks.origin)
@@ -182,7 +288,7 @@ def _around_the_mesh(
     sites = sites[distance < RIM * around.edges[cell] + 0.9 * blocks.edge]
     density = wanted / curved.volumes
 
-    def dense(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def dense(points: F64) -> tuple[F64, I32]:
         far, own = around.nearest(points)
         there = (far < RIM * around.edges[own]) & (curved.places(points).cell < 0)
         return np.where(there, density[own], 0.0), own
@@ -237,12 +343,10 @@ class HexahedralCloud:
         room = np.ones(self.curved.count) if self.fixed is None else self.curved.volumes / self.fixed**3
         blocks = replace(blocks, quotas=usual * room)
 
-        def errors(number: int, made: tuple[PoreSet, WarpedTiling]) -> NDArray[np.float64]:
+        def errors(number: int, made: tuple[PoreSet, WarpedTiling]) -> F64:
             return CurvedSamples(made[1], self.curved, self.resolution, context.threads).shares().porosity - targets
 
-        def again(
-            number: int, made: tuple[PoreSet, WarpedTiling], errors: NDArray[np.float64]
-        ) -> HexahedralBlocks | None:
+        def again(number: int, made: tuple[PoreSet, WarpedTiling], errors: F64) -> HexahedralBlocks | None:
             if number == rounds:
                 return None
             pores = made[0]
@@ -253,7 +357,7 @@ class HexahedralCloud:
         context.report(**report, cell_deviation=curve.deviation)
         return made[1]
 
-    def _targets(self) -> NDArray[np.float64] | None:
+    def _targets(self) -> F64 | None:
         if self.grading is not None and "porosity" in self.grading:
             return curved_targets(self.grading, "porosity", self.curved)
         return None if self.porosity is None else np.full(self.curved.count, self.porosity)

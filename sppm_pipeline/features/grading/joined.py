@@ -24,9 +24,10 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.method.tiling.lattice import Faces, Laid
 from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.stage import Context
 
-Weights = Callable[[NDArray[Any]], NDArray[np.float64]]
+Weights = Callable[[NDArray[Any]], F64]
 """The map `weight` at places in cells of the box, (..., 3)."""
 
 Origin = tuple[float, float, float]
@@ -67,14 +68,12 @@ class JoinedSets(Artifact):
 class Transition(NamedTuple):
     """The interior of a cell between two sets."""
 
-    centers: NDArray[np.float64]  # pores, (n, 3) cell sizes
-    edges: NDArray[np.int64]  # tunnels between them, (m, 2)
+    centers: F64  # pores, (n, 3) cell sizes
+    edges: I64  # tunnels between them, (m, 2)
     omega: float
     mu: float
 
-    def connectors(
-        self, around: NDArray[np.float64], mu: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def connectors(self, around: F64, mu: F64) -> tuple[I64, F64]:
         """The pore that each pore `around` (k, 3) on the faces, from the low corner of the cell, is connected to, and
         mu of that tunnel: the geometric mean with `mu` (k,), the usual one among the tunnels of the set to which each
         belongs.
@@ -88,9 +87,9 @@ class Layout(Protocol):
     """Cells of both sets in a box."""
 
     own: NDArray[np.int8]  # (nx, ny, nz), owner of each cell: 0 or 1 for a set, 2 for a transition cell, -1 for none
-    between: NDArray[np.int64]  # transition cells, (m, 3)
+    between: I64  # transition cells, (m, 3)
 
-    def around(self, number: int) -> NDArray[np.float64]:
+    def around(self, number: int) -> F64:
         """Pores on the faces of a transition cell, from its low corner."""
 
     def tiling(self, cells: list[Transition]) -> Tiling:
@@ -105,7 +104,7 @@ class SameSize:
     """
 
     def __init__(
-        self, context: Context, sets: JoinedSets, mask: NDArray[np.bool_], weights: Weights, edge: float, origin: Origin
+        self, context: Context, sets: JoinedSets, mask: Bools, weights: Weights, edge: float, origin: Origin
     ) -> None:
         self._edge, self._origin = edge, origin
         self._micros = [tileset.micro for tileset in sets.sets]
@@ -132,7 +131,7 @@ class SameSize:
         interior[tuple(self.between.T)] = self._interiors + np.arange(len(self.between))
         self._arrays = TilingArrays(interior, (faces[0], faces[1], faces[2]), False, HALO)
 
-    def _faces(self, number: int) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
+    def _faces(self, number: int) -> Iterator[tuple[int, I64, I64]]:
         """For each face of a transition cell: its set, the pores on it in that set, and its shift from the low side."""
         for axis in range(3):
             for side in range(2):
@@ -143,7 +142,7 @@ class SameSize:
                 own = color - which * self._pores[0].colors[axis]
                 yield which, pores.indices(pores.face_piece(axis, own)), shift
 
-    def around(self, number: int) -> NDArray[np.float64]:
+    def around(self, number: int) -> F64:
         """See `Layout`."""
         return np.concatenate(
             [self._pores[which].centers[index] + shift for which, index, shift in self._faces(number)]
@@ -202,7 +201,7 @@ class TwoSizes:
     """
 
     def __init__(
-        self, context: Context, sets: JoinedSets, mask: NDArray[np.bool_], weights: Weights, edge: float, origin: Origin
+        self, context: Context, sets: JoinedSets, mask: Bools, weights: Weights, edge: float, origin: Origin
     ) -> None:
         self._edge, self._origin, self._shape = edge, np.array(origin), np.array(mask.shape)
         large = int(sets.per_edge[0] > 1)
@@ -227,7 +226,7 @@ class TwoSizes:
         self._graph, self._usual = joined_graphs(graphs), np.concatenate(usual)
         self._on_planes = [self._sorted_on_planes(axis) for axis in range(3)]
 
-    def _sorted_on_planes(self, axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _sorted_on_planes(self, axis: int) -> tuple[I64, I64]:
         """Pores on planes of the large lattice: numbers of the faces in which they lie, ascending, and the pores."""
         place = self._graph.points
         index = np.flatnonzero(np.abs(place[:, axis] - np.rint(place[:, axis])) < 1e-9)
@@ -238,7 +237,7 @@ class TwoSizes:
         order = np.argsort(number, kind="stable")
         return number[order], index[kept][order]
 
-    def _pores_around(self, place: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _pores_around(self, place: I64) -> I64:
         """Pores on the six faces of a large cell."""
         found = []
         for axis, (faces, pores) in enumerate(self._on_planes):
@@ -247,7 +246,7 @@ class TwoSizes:
                 found.append(pores[np.searchsorted(faces, number) : np.searchsorted(faces, number, side="right")])
         return np.unique(np.concatenate(found))  # those on an edge lie in two planes
 
-    def around(self, number: int) -> NDArray[np.float64]:
+    def around(self, number: int) -> F64:
         """See `Layout`."""
         place = self.between[number]
         return np.asarray(self._graph.points[self._pores_around(place)] - place)
@@ -289,7 +288,7 @@ def _sides(axis: int) -> Iterator[tuple[slice, ...]]:
         yield tuple(side if a == axis else slice(None) for a in range(3))
 
 
-def _without(faces: Faces, other: NDArray[np.bool_]) -> Faces:
+def _without(faces: Faces, other: Bools) -> Faces:
     """Faces of a lattice with -1 for those of `other` cells."""
     kept = [color.copy() for color in faces]
     for axis, color in enumerate(kept):
@@ -298,7 +297,7 @@ def _without(faces: Faces, other: NDArray[np.bool_]) -> Faces:
     return kept[0], kept[1], kept[2]
 
 
-def _beside(other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _beside(other: Bools) -> Bools:
     """Cells that share a face with one of `other`."""
     padded, found = np.pad(other, 1), np.zeros(other.shape, bool)
     for axis in range(3):

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
@@ -22,6 +21,7 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.arrays import F64, I64, Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,12 @@ MAX_BLOCKS = 4_000_000
 class LaidGraph(NamedTuple):
     """The pores and tunnels of all cells of a tiling."""
 
-    points: NDArray[np.float64]  # (n, 3), cell sizes, from the low corner of cell (0, 0, 0)
-    omega: NDArray[np.float64]  # (n,), of the pores, 1 / cell size^2
-    edges: NDArray[np.int64]  # (m, 2)
-    mu: NDArray[np.float64]  # (m,), of the tunnels, in the unit of their profile
+    points: F64  # (n, 3), cell sizes, from the low corner of cell (0, 0, 0)
+    omega: F64  # (n,), of the pores, 1 / cell size^2
+    edges: I64  # (m, 2)
+    mu: F64  # (m,), of the tunnels, in the unit of their profile
 
-    def resized(
-        self, profile: str, pores: NDArray[np.float64] | float, tunnels: NDArray[np.float64] | float
-    ) -> LaidGraph:
+    def resized(self, profile: str, pores: F64 | float, tunnels: F64 | float) -> LaidGraph:
         """The graph with the radii of its pores and tunnels multiplied by factors."""
         omega = self.omega * PORE_PROFILE.scaled_radius(np.asarray(pores))
         return self._replace(omega=omega, mu=self.mu * TUNNEL_PROFILES[profile].scaled_radius(np.asarray(tunnels)))
@@ -84,7 +82,7 @@ def joined_graphs(parts: Sequence[LaidGraph]) -> LaidGraph:
     )
 
 
-def kernel_sizes(micro: Microstructure) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def kernel_sizes(micro: Microstructure) -> tuple[F64, F64]:
     """Parameters omega of the pores and mu of the tunnels, in the order of the graph."""
     graph, kernels = micro.graph, micro.pieces.kernels
     # numbers sorted as kernels are tell which kernel is whose
@@ -102,11 +100,11 @@ def kernel_sizes(micro: Microstructure) -> tuple[NDArray[np.float64], NDArray[np
 class _Sites:
     """Which piece lies where: interiors and the faces in low planes, over a box of sites."""
 
-    first: NDArray[np.int64]  # the first site, (3,)
-    pieces: list[NDArray[np.int64]]  # for interiors and each axis, (sx, sy, sz); -1 for none
-    wrap: NDArray[np.bool_]  # (3,)
+    first: I64  # the first site, (3,)
+    pieces: list[I64]  # for interiors and each axis, (sx, sy, sz); -1 for none
+    wrap: Bools  # (3,)
 
-    def at(self, kind: NDArray[np.int64], site: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def at(self, kind: I64, site: I64) -> tuple[I64, I64]:
         """The flat place of sites (k, 3), and the piece of a kind (0 interior, 1 + axis) there; -1 beyond the box."""
         shape = np.array(self.pieces[0].shape)
         index = site - self.first
@@ -187,9 +185,7 @@ _TRIED = 1024
 """Number of the smallest pores and tunnels that are tested first; most often one of them lies in a cell."""
 
 
-def _largest_inside(
-    sizes: NDArray[np.float64], points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]], curved: CurvedCells
-) -> float:
+def _largest_inside(sizes: F64, points_of: Callable[[I64], F64], curved: CurvedCells) -> float:
     """The largest of sizes (n,) of what has one of its points (chosen, k, 3) mm in a cell; of all if nothing has."""
     # from the smallest kernel (largest parameter) on, until one lies inside
     order, first, count = np.argsort(-sizes, kind="stable"), 0, _TRIED
@@ -202,17 +198,17 @@ def _largest_inside(
     return float(sizes.max(initial=0.0))
 
 
-def _along(graph: LaidGraph, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+def _along(graph: LaidGraph, chosen: I64) -> F64:
     """Points along tunnels, (chosen, 5, 3)."""
     start, end = (graph.points[graph.edges[chosen, k]][:, None] for k in range(2))
-    way: NDArray[np.float64] = start + _ALONG[:, None] * (end - start)
+    way: F64 = start + _ALONG[:, None] * (end - start)
     return way
 
 
 def cloud(
     graph: LaidGraph,
     edge: float,
-    box: NDArray[np.float64],
+    box: F64,
     profile: str,
     level: float,
     *,

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.numerics.curve import StiffnessCurve
-from sppm_pipeline.features.grading.numerics.samples import by_inverse_distance
 from sppm_pipeline.method.nouns.maps import (
     BOX_COORDINATES,
     CELL_COORDINATES,
@@ -21,11 +20,104 @@ from sppm_pipeline.method.nouns.maps import (
     Law,
     Place,
 )
+from sppm_pipeline.services.arrays import F64, I32, I64, Bools
 from sppm_pipeline.services.expression import Expression
 from sppm_pipeline.services.mesh.box_tree import box_tree
 from sppm_pipeline.services.mesh.winding_number import dipoles, winding_numbers
 from sppm_pipeline.services.monotone_cubic import monotone_cubic
 from sppm_pipeline.services.nearest import element_tree, locate, nearest_in, surface_distances
+
+NEIGHBORS, POWER = 8, 2
+"""Points of a mean by inverse distances, and the power of the distance: Shepard (1968) recommends four to ten points
+and the square."""
+
+CORNERS = {
+    "tetra": 4, "tetra10": 4, "hexahedron": 8, "hexahedron20": 8, "hexahedron27": 8, "wedge": 6, "wedge15": 6,
+    "pyramid": 5, "pyramid13": 5,
+}  # fmt: skip
+"""Solid elements that are read, and their corner nodes, which come first; others are nodes on edges and faces."""
+
+_SPLITS: Mapping[int, list[list[int]]] = {
+    4: [[0, 1, 2, 3]],
+    5: [[0, 1, 2, 4], [0, 2, 3, 4]],
+    6: [[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]],
+    8: [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]],
+}
+"""Tetrahedra that fill an element, by its number of corners; those of a hexahedron share a diagonal."""
+
+MAX_PAIRS = 200_000_000
+"""Pairs of nodes that smoothing sums over; a tenth of a microsecond each."""
+
+
+def by_inverse_distance(tree: Any, values: F64, points: F64) -> F64:
+    """Mean of the nearest samples by inverse squared distances; at a sample its own value."""
+    count = min(NEIGHBORS, len(values))
+    distance, near = tree.query(points, count)
+    distance, near = distance.reshape(len(points), count), near.reshape(len(points), count)
+    there = distance[:, 0] == 0
+    # relative to the nearest one, so that nothing overflows
+    weights = (np.where(there, 1.0, distance[:, 0])[:, None] / np.where(distance > 0, distance, 1.0)) ** POWER
+    weights[there] = np.where(distance[there] == 0, 1.0, 0.0)
+    means: F64 = (weights * values[near]).sum(axis=1) / weights.sum(axis=1)
+    return means
+
+
+def as_tetrahedra(blocks: list[tuple[str, I64]]) -> I64:
+    """Corner nodes (m, 4) of tetrahedra that fill solid elements; each block is a type and its nodes (k, nodes)."""
+    parts = []
+    for kind, nodes in blocks:
+        split = np.array(_SPLITS[CORNERS[kind]])
+        parts.append(nodes[:, split].reshape(-1, 4))
+    return np.concatenate(parts) if parts else np.zeros((0, 4), np.int64)
+
+
+def tetrahedra_of(blocks: list[tuple[str, I64]]) -> I64:
+    """Number of tetrahedra that `as_tetrahedra` makes of each element, (elements,)."""
+    return np.concatenate([np.full(len(nodes), len(_SPLITS[CORNERS[kind]])) for kind, nodes in blocks])
+
+
+def volumes(corners: F64) -> F64:
+    """Volumes (m,) of tetrahedra (m, 4, 3)."""
+    a, b, c = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
+    found: F64 = np.abs(np.einsum("ij,ij->i", np.cross(a, b), c)) / 6
+    return found
+
+
+def at_nodes(tetrahedra: I64, volume: F64, values: F64, count: int) -> F64:
+    """Values of tetrahedra as means at the nodes, weighted by volume: (count,), NaN at nodes of no element."""
+    nodes, weights = tetrahedra.ravel(), np.repeat(volume, 4)
+    total = np.bincount(nodes, weights, count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means: F64 = np.bincount(nodes, weights * np.repeat(values, 4), count) / total
+    return means
+
+
+def smoothed(nodes: F64, weights: F64, values: F64, sigma: float) -> F64:
+    """Means of nodal values, weighted by a Gaussian of the distance and by the nodes' volumes.
+
+    The Gaussian has the standard deviation `sigma`, and is cut off at three of them; the `weights` are the nodes'
+    volumes, a quarter of those of their tetrahedra. `ValueError` if so many nodes lie within reach of each other that
+    it would take very long.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(nodes)
+    pairs = int(tree.count_neighbors(tree, 3 * sigma))
+    if pairs > MAX_PAIRS:
+        raise ValueError(f"{pairs:.2g} pairs of nodes lie within 3 x {sigma:g} of each other; up to {MAX_PAIRS:.0e} do")
+    # some four million pairs at a time, for memory
+    step = max(1, int(len(nodes) * 4e6 / max(pairs, 1)))
+    means = np.empty(len(nodes))
+    for start in range(0, len(nodes), step):
+        own = cKDTree(nodes[start : start + step])
+        near = own.sparse_distance_matrix(tree, 3 * sigma, output_type="ndarray")
+        # in a fixed order, so that sums do not depend on how the tree was walked
+        near = near[np.lexsort((near["j"], near["i"]))]
+        share = np.exp(-0.5 * (near["v"] / sigma) ** 2) * weights[near["j"]]
+        count = len(own.data)
+        total = np.bincount(near["i"], share, count)
+        means[start : start + count] = np.bincount(near["i"], share * values[near["j"]], count) / total
+    return means
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +127,7 @@ class FormulaLaw(Law):
     text: str
     names: tuple[str, ...]  # maps and coordinates that it may use
     constants: tuple[tuple[str, float], ...]
-    box: NDArray[np.float64] | None  # low and high corner of the part, (2, 3) mm, of which u, v, w are shares
+    box: F64 | None  # low and high corner of the part, (2, 3) mm, of which u, v, w are shares
     surface: Law | None  # the distance from the part
 
     @cached_property
@@ -46,7 +138,7 @@ class FormulaLaw(Law):
         depth = () if self.surface is None else (DISTANCE,)
         return Expression(self.text, (*COORDINATES, *CELL_COORDINATES, *box, *depth, *constants, *self.names))
 
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         constants = dict(self.constants)
         values = {}
         for name in self.expression.used:
@@ -75,11 +167,11 @@ class TableLaw(Law):
     """Values at places along a coordinate or over an earlier map."""
 
     along: str  # "x", "cell_x", or the name of a map
-    places: NDArray[np.float64]  # (k,), ascending; with steps values hold from a place to the next
-    values: NDArray[np.float64]
+    places: F64  # (k,), ascending; with steps values hold from a place to the next
+    values: F64
     kind: str  # "steps", "linear" or "smooth", the last by monotone cubic polynomials
 
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         t = place.values(self.along)
         if self.kind == "steps" or len(self.places) == 1:
             return self.values[np.clip(np.searchsorted(self.places, t, side="right") - 1, 0, None)]
@@ -87,7 +179,7 @@ class TableLaw(Law):
             return np.interp(t, self.places, self.values)
         curve = monotone_cubic(self.places, self.values).at
         # the curve does not leave the values but for rounding
-        found: NDArray[np.float64] = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
+        found: F64 = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
         return found
 
     @property
@@ -103,12 +195,12 @@ class TableLaw(Law):
 class PointsLaw(DataLaw):
     """Samples at points (m, 3) mm: linear in tetrahedra, "nearest", or a mean by inverse distances, "idw"."""
 
-    points: NDArray[np.float64]
-    values: NDArray[np.float64]
+    points: F64
+    values: F64
     by: str = "linear"
 
     @property
-    def box(self) -> NDArray[np.float64]:
+    def box(self) -> F64:
         return np.array([self.points.min(axis=0), self.points.max(axis=0)])
 
     @property
@@ -116,7 +208,7 @@ class PointsLaw(DataLaw):
         return float(self.values.min()), float(self.values.max())
 
     @property
-    def elements(self) -> NDArray[np.int64]:
+    def elements(self) -> I64:
         """Points of each tetrahedron, (k, 4): those of Delaunay."""
         from scipy.spatial import Delaunay
 
@@ -132,12 +224,12 @@ class PointsLaw(DataLaw):
     def _mesh(self) -> Tetrahedra:
         return Tetrahedra(self.points, self.elements)
 
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         if self.by == "linear":
             values, outside = self._mesh.values(self.values, place.points)
             return self.bounded(values, outside)
         if self.by == "nearest":
-            found: NDArray[np.float64] = self.values[self._tree.query(place.points)[1]]
+            found: F64 = self.values[self._tree.query(place.points)[1]]
         else:
             found = by_inverse_distance(self._tree, self.values, place.points)
         return self.bounded(found, self.beyond(place.points))
@@ -147,17 +239,17 @@ class PointsLaw(DataLaw):
 class NodesLaw(PointsLaw):
     """Values at the nodes of a finite element mesh, linear in `tetrahedra` (k, 4) that fill its elements."""
 
-    tetrahedra: NDArray[np.int64] = field(kw_only=True)
+    tetrahedra: I64 = field(kw_only=True)
 
     @property
-    def elements(self) -> NDArray[np.int64]:
+    def elements(self) -> I64:
         return self.tetrahedra
 
 
 class Tetrahedra:
     """Tetrahedra that nodal values are interpolated in; nodes (n, 3), tetrahedra (m, 4)."""
 
-    def __init__(self, nodes: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> None:
+    def __init__(self, nodes: F64, tetrahedra: I64) -> None:
         from scipy.spatial import cKDTree
 
         self._tetrahedra = tetrahedra
@@ -166,9 +258,7 @@ class Tetrahedra:
         self._used = np.unique(tetrahedra)
         self._nearest = cKDTree(nodes[self._used])
 
-    def values(
-        self, values: NDArray[np.float64], points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def values(self, values: F64, points: F64) -> tuple[F64, Bools]:
         """Values (n,) at points (n, 3), and which of them lie outside and have the value of the nearest element."""
         # linear in the element that holds a point; beyond all of them, in the nearest one at the node next to the point
         element, weights = locate(self._boxes, self._corners, points)
@@ -188,8 +278,8 @@ class Tetrahedra:
 class DistanceLaw(Law):
     """Distance from a surface, positive inside of it if it is closed; from a line, or from a point."""
 
-    vertices: NDArray[np.float64]  # (n, 3) mm, of the surface; or a point, or two points of a line
-    faces: NDArray[np.int32]  # (m, 3); empty for a line or point
+    vertices: F64  # (n, 3) mm, of the surface; or a point, or two points of a line
+    faces: I32  # (m, 3); empty for a line or point
     closed: bool  # there is an inside
 
     @cached_property
@@ -200,14 +290,14 @@ class DistanceLaw(Law):
     def _poles(self) -> Any:
         return dipoles(self._tree)
 
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         if not len(self.faces):
             away = place.points - self.vertices[0]
             if len(self.vertices) == 2:
                 along = self.vertices[1] - self.vertices[0]
                 along = along / np.linalg.norm(along)
                 away = away - np.outer(away @ along, along)
-            far: NDArray[np.float64] = np.linalg.norm(away, axis=1)
+            far: F64 = np.linalg.norm(away, axis=1)
             return far
         distance = surface_distances(self._tree, place.points)
         if not self.closed:
@@ -225,8 +315,8 @@ class StiffnessLaw(Law):
     """The porosity at which a structure has the modulus that an earlier map asks for."""
 
     wanted: str  # name of the map of moduli
-    porosities: NDArray[np.float64]  # the structure's curve, (m,)
-    moduli: NDArray[np.float64]
+    porosities: F64  # the structure's curve, (m,)
+    moduli: F64
     deviation: float  # relative standard deviation of single cells around it
 
     @property
@@ -242,7 +332,7 @@ class StiffnessLaw(Law):
     def bounds(self) -> tuple[float, float]:
         return float(self.porosities[0]), float(self.porosities[-1])
 
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         wanted = place.values(self.wanted)
         found = self.curve.porosity(wanted)
         out = np.isnan(found)

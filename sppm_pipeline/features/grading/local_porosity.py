@@ -16,6 +16,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8, Bools
 from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.services.threads import ordered_map
 
@@ -39,7 +40,7 @@ WINDOW = 0.5
 
 def cell_means(
     grading: Grading, name: str, edge: float, origin: tuple[float, float, float], cells: NDArray[np.integer]
-) -> NDArray[np.float64]:
+) -> F64:
     """Means (m,) of a map over cells (m, 3) of an edge, mm, of the lattice whose cell (0, 0, 0) begins at `origin`."""
     cells = np.asarray(cells, np.int64)
     key = (name, edge, origin, cells.tobytes())
@@ -60,7 +61,7 @@ def cell_means(
 CELLS_AT_A_TIME = 4096
 """Cells whose means are taken together."""
 
-_MEANS: WeakKeyDictionary[Grading, tuple[tuple[object, ...], NDArray[np.float64]]] = WeakKeyDictionary()
+_MEANS: WeakKeyDictionary[Grading, tuple[tuple[object, ...], F64]] = WeakKeyDictionary()
 """The last means: consecutive stages need the same ones, and distances from meshes are slow."""
 
 ALONE = 2**20
@@ -79,8 +80,8 @@ class Places(NamedTuple):
     """Cells, the share of each that lies in the part, and bits of the samples inside of those that are not whole."""
 
     cells: Cells
-    shares: NDArray[np.float64]
-    inside: dict[tuple[int, int, int], NDArray[np.uint8]]
+    shares: F64
+    inside: dict[tuple[int, int, int], U8]
 
 
 class LatticeCells:
@@ -101,7 +102,7 @@ class LatticeCells:
         self.cells, self.shares, self._inside = self.places
 
     def _places(self, field: ScalarField, only: Cells | None) -> Places:
-        filled, inside = filled_cells(self.base), dict[tuple[int, int, int], NDArray[np.uint8]]()
+        filled, inside = filled_cells(self.base), dict[tuple[int, int, int], U8]()
         if only is not None:
             chosen = np.zeros_like(filled)
             chosen[tuple(np.array(only).T)] = True
@@ -112,14 +113,7 @@ class LatticeCells:
         cells = [(int(i), int(j), int(k)) for i, j, k in np.argwhere(share >= LEAST_SHARE)]
         return Places(cells, share[share >= LEAST_SHARE], {cell: inside[cell] for cell in cells if cell in inside})
 
-    def _see(
-        self,
-        part: Part,
-        share: NDArray[np.float64],
-        inside: dict[tuple[int, int, int], NDArray[np.uint8]],
-        *,
-        all_layers: bool,
-    ) -> None:
+    def _see(self, part: Part, share: F64, inside: dict[tuple[int, int, int], U8], *, all_layers: bool) -> None:
         """Set the share of each cell, where it is not 0, to that in the part; keep bits of cells that are not whole."""
         n, (nx, ny, _) = self.n, self.base.cells
         grid, k, layers = cell_centers(n, self.base.cells), -1, np.zeros((0, 0, 0, 0, 0), bool)
@@ -146,14 +140,14 @@ class LatticeCells:
     def _threads_for(self, grid: Grid) -> int:
         return self.threads if math.prod(grid.shape) > ALONE else 1
 
-    def inside(self, cell: tuple[int, int, int]) -> NDArray[np.bool_] | None:
+    def inside(self, cell: tuple[int, int, int]) -> Bools | None:
         """Which samples of a cell lie in the part, (n, n, n) indexed z, y, x; None for all."""
         bits = self._inside.get(cell)
         if bits is None:
             return None
         return np.unpackbits(bits, count=self.n**3).reshape((self.n,) * 3).view(np.bool_)
 
-    def _rows_inside(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.int32] | None:
+    def _rows_inside(self, run: Sequence[tuple[int, int, int]]) -> I32 | None:
         """For each row of a run the first sample in the part and the one after the last, (n, n, 2); None for all."""
         parts = [self.inside(cell) for cell in run]
         if all(part is None for part in parts):
@@ -171,7 +165,7 @@ class LatticeCells:
             high[some] = (begin + self.n - part[:, :, ::-1].argmax(2))[some]
         return np.stack([np.minimum(low, high), high], -1)
 
-    def values(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.float32]:
+    def values(self, run: Sequence[tuple[int, int, int]]) -> F32:
         """Values of cells that follow each other along x, to compare with a level: ln G of a sum G of kernels, or the
         field, (n, n, n len(run)) indexed z, y, x. In rows before the first and beyond the last sample in the part it
         may be anything.
@@ -195,7 +189,7 @@ class LatticeCells:
         """Threads that look at cells at once, where cells are too small for several threads each."""
         return 1 if RUN * self.n**3 > ALONE else self.threads
 
-    def porosities(self, cells: Cells, progress: Callable[[int], None]) -> NDArray[np.float64]:
+    def porosities(self, cells: Cells, progress: Callable[[int], None]) -> F64:
         """Porosities of some cells of a sum of kernels, or of that of them which lies in the part.
 
         Samples near the level count in part, which takes a third of the samples that counting them whole would.
@@ -215,7 +209,7 @@ class LatticeCells:
             progress(len(found))
         return np.array([found[cell] for cell in cells])
 
-    def counted(self) -> NDArray[np.float64]:
+    def counted(self) -> F64:
         """Share of void in each of the cells, or in that of it which lies in the part, by whole samples, (m,)."""
         found = dict[tuple[int, int, int], float]()
         # cells that follow each other along x are sampled together, as long rows cost less than short ones
@@ -228,7 +222,7 @@ class LatticeCells:
         return np.array([found[cell] for cell in self.cells])
 
 
-def filled_cells(field: ScalarField) -> NDArray[np.bool_]:
+def filled_cells(field: ScalarField) -> Bools:
     """Which cells of a field hold something with all that reaches into it, (nx, ny, nz)."""
     cells, inner = tuple(field.cells), field
     # levels and parts hold what their base holds, on the same lattice
@@ -239,7 +233,7 @@ def filled_cells(field: ScalarField) -> NDArray[np.bool_]:
     return np.ones(cells, bool)
 
 
-def error_summary(errors: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
+def error_summary(errors: Sequence[float] | F64) -> dict[str, float]:
     """Bias, rms, 95th percentile of the size, and the largest size of errors."""
     e = np.asarray(errors, np.float64)
     size = np.abs(e)
@@ -251,18 +245,16 @@ def error_summary(errors: Sequence[float] | NDArray[np.float64]) -> dict[str, fl
     }
 
 
-def block_counts(
-    void: NDArray[np.bool_], inside: NDArray[np.bool_] | None, size: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def block_counts(void: Bools, inside: Bools | None, size: int) -> tuple[I64, I64]:
     """Voxels that are void and inside, and all that are inside, in blocks of `size` along each axis.
 
     Masks are (nz, ny, nx), multiples of `size`; `inside` is None for all.
     """
     nz, ny, nx = (n // size for n in void.shape)
 
-    def summed(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def summed(mask: Bools) -> I64:
         blocks = mask.reshape(nz, size, ny, size, nx, size)
-        found: NDArray[np.int64] = blocks.sum((1, 3, 5), dtype=np.int64)
+        found: I64 = blocks.sum((1, 3, 5), dtype=np.int64)
         return found
 
     if inside is None:
@@ -270,16 +262,14 @@ def block_counts(
     return summed(void & inside), summed(inside)
 
 
-def smoothed_means(values: NDArray[np.floating], weights: NDArray[np.floating]) -> NDArray[np.float64]:
+def smoothed_means(values: NDArray[np.floating], weights: NDArray[np.floating]) -> F64:
     """Weighted means of block values (nx, ny, nz), `BLOCKS` along a cell edge, in a Gaussian window around each block;
     NaN where nothing has a weight. Beyond the ends there is nothing.
     """
     from scipy.ndimage import gaussian_filter
 
-    def smoothed(of: NDArray[np.floating]) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = gaussian_filter(
-            of.astype(np.float64), WINDOW * BLOCKS, mode="constant", truncate=3.0
-        )
+    def smoothed(of: NDArray[np.floating]) -> F64:
+        found: F64 = gaussian_filter(of.astype(np.float64), WINDOW * BLOCKS, mode="constant", truncate=3.0)
         return found
 
     with np.errstate(invalid="ignore", divide="ignore"):

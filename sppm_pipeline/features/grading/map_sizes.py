@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.assembly.contents import TilingArrays
@@ -14,6 +13,7 @@ from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.metric import PLAIN, stretched_metric
 
 _AT_A_TIME = 1 << 18
@@ -39,7 +39,7 @@ def check_round(grading: Grading, stage: str) -> None:
             )
 
 
-def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def metric_at(grading: Grading, points: F64) -> F64 | None:
     """Metrics (n, 6) by the maps `stretch` and `direction_x`, `_y`, `_z` at points (n, 3) mm; None without them.
 
     A component of the direction that has no map is 0. Where all are 0 nothing is stretched. A second stretch s2
@@ -80,12 +80,12 @@ def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float
     return np.asarray(metric + stretched_metric(grading[name].at(points), across) - PLAIN)
 
 
-def _vectors(grading: Grading, names: Sequence[str], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _vectors(grading: Grading, names: Sequence[str], points: F64) -> F64:
     """Vectors (n, 3) of three maps at points, 0 where there is no map."""
     return np.stack([grading[n].at(points) if n in grading else np.zeros(len(points)) for n in names], axis=1)
 
 
-def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
+def sites_of(arrays: TilingArrays) -> I64:
     """The cell of each interior, (interiors, 3), counted from that of the box; that within the box, if in many."""
     interior = arrays.interior
     sites = np.zeros((int(interior.max()) + 1, 3), np.int64)
@@ -122,9 +122,7 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
     sites[pieces.interiors + 3 * pieces.colors :] = sites[pieces.codes // (6 * pieces.colors)] if pieces.colors else 0
     box = np.array(arrays.shape, np.float64)
 
-    def shaped(
-        first: NDArray[np.int64], ends: tuple[NDArray[np.float64], ...], name: str, usual: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def shaped(first: I64, ends: tuple[F64, ...], name: str, usual: float) -> tuple[F64, F64 | None]:
         """Factors of the radii of kernels in the middle of `ends`, and metrics; 1 and plain where no place is known."""
         n = len(ends[0])
         factor, metric = np.ones(n), np.tile(PLAIN, (n, 1)) if "stretch" in grading else None

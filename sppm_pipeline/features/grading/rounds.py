@@ -17,6 +17,7 @@ from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.stage import Context, Recipe
 
 Wanted = TypeVar("Wanted")
@@ -61,7 +62,7 @@ def trial(
 
 
 def curve_of(
-    context: Context, porosity: Callable[[int, int], float], total: int, targets: NDArray[np.float64], trials: int
+    context: Context, porosity: Callable[[int, int], float], total: int, targets: F64, trials: int
 ) -> PorosityCurve:
     """The porosity of a recipe over the number of pores of a cell, wide enough for all targets (m,), beginning with
     `total`.
@@ -121,8 +122,8 @@ def of_periodic_cells(context: Context, recipe: Recipe, resolution: int) -> Call
 def in_rounds(
     first: Wanted,
     draw: Callable[[Wanted], Made],
-    errors: Callable[[int, Made], NDArray[np.float64]],
-    again: Callable[[int, Made, NDArray[np.float64]], Wanted | None],
+    errors: Callable[[int, Made], F64],
+    again: Callable[[int, Made, F64], Wanted | None],
 ) -> tuple[Made, dict[str, object]]:
     """Draw cells, measure them, and draw them again with more or fewer pores, in rounds.
 
@@ -149,7 +150,7 @@ def in_rounds(
 
 
 def corrected(
-    context: Context, number: int, blocks: Cells, pores: PoreSet, cell: NDArray[np.integer], excess: NDArray[np.float64]
+    context: Context, number: int, blocks: Cells, pores: PoreSet, cell: NDArray[np.integer], excess: F64
 ) -> Cells:
     """Scattered blocks whose pores are kept, but for some at random in cells of too many, and added to in others.
 

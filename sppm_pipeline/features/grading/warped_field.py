@@ -7,15 +7,92 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
-from sppm_pipeline.features.grading.numerics.bricks import BEFORE, interpolate
 from sppm_pipeline.method.fields.formula import CellCache
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import ordered_map
+
+BEFORE = 1
+"""Samples that a brick holds before its first one; cubics need one there and two behind the last."""
+
+
+@jit
+def _weights(t: float, out: F64) -> None:
+    out[0] = 0.5 * t * (-1.0 + t * (2.0 - t))
+    out[1] = 1.0 + 0.5 * t * t * (-5.0 + 3.0 * t)
+    out[2] = 0.5 * t * (1.0 + t * (4.0 - 3.0 * t))
+    out[3] = 0.5 * t * t * (t - 1.0)
+
+
+@jit
+def interpolate(brick: F32, places: F64, chosen: I64, out: F32) -> None:
+    """Values at places in a cell, by the four samples along each axis of Catmull and Rom (1974).
+
+    `brick` (n + 4, n + 4, n + 4) are samples indexed x, y, z, n to an edge of the cell, the second one in its low
+    corner; `places` (m, 3) are 0 to 1 in the cell, of which those `chosen` (k,) are written to `out` (m,).
+    """
+    n = brick.shape[0] - 4
+    wx, wy, wz = np.empty(4), np.empty(4), np.empty(4)
+    for m in chosen:
+        x, y, z = places[m, 0] * n, places[m, 1] * n, places[m, 2] * n
+        i, j, k = min(int(x), n), min(int(y), n), min(int(z), n)
+        _weights(x - i, wx)
+        _weights(y - j, wy)
+        _weights(z - k, wz)
+        total = 0.0
+        for a in range(4):
+            plane = 0.0
+            for b in range(4):
+                row = brick[i + a, j + b]
+                plane += wy[b] * (wz[0] * row[k] + wz[1] * row[k + 1] + wz[2] * row[k + 2] + wz[3] * row[k + 3])
+            total += wx[a] * plane
+        out[m] = total
+
+
+@jit
+def cubic_in_layers(values: F32, places: F64) -> F32:
+    """Values (n,) at places (n, 3), x, y, z counted in samples from the first one, of layers indexed z, y, x; a place
+    needs one sample before it and two behind it along each axis.
+    """
+    out = np.empty(len(places), np.float32)
+    wx, wy, wz = np.empty(4), np.empty(4), np.empty(4)
+    for m in range(len(places)):
+        x, y, z = places[m, 0], places[m, 1], places[m, 2]
+        i, j, k = int(np.floor(x)) - 1, int(np.floor(y)) - 1, int(np.floor(z)) - 1
+        _weights(x - i - 1, wx)
+        _weights(y - j - 1, wy)
+        _weights(z - k - 1, wz)
+        total = 0.0
+        for c in range(4):
+            plane = 0.0
+            for b in range(4):
+                row = values[k + c, j + b]
+                plane += wy[b] * (wx[0] * row[i] + wx[1] * row[i + 1] + wx[2] * row[i + 2] + wx[3] * row[i + 3])
+            total += wz[c] * plane
+        out[m] = total
+    return out
+
+
+@jit
+def linear_in_layers(values: F32, places: F64) -> F32:
+    """As `cubic_in_layers`, linear between samples."""
+    out = np.empty(len(places), np.float32)
+    for m in range(len(places)):
+        x, y, z = places[m, 0], places[m, 1], places[m, 2]
+        i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+        x, y, z = x - i, y - j, z - k
+        low = (1 - y) * ((1 - x) * values[k, j, i] + x * values[k, j, i + 1])
+        low += y * ((1 - x) * values[k, j + 1, i] + x * values[k, j + 1, i + 1])
+        high = (1 - y) * ((1 - x) * values[k + 1, j, i] + x * values[k + 1, j, i + 1])
+        high += y * ((1 - x) * values[k + 1, j + 1, i] + x * values[k + 1, j + 1, i + 1])
+        out[m] = (1 - z) * low + z * high
+    return out
+
 
 KEPT_BYTES = 512 * 2**20
 """Maximum number of bytes of the samples of cells."""
@@ -83,7 +160,7 @@ class WarpedField(ScalarField):
     def exactly(self) -> WarpedField:
         return replace(self, base=self.base.exactly())
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         nx, ny, _ = grid.shape
         values = np.empty((stop - start, ny, nx), np.float32)
         x, y, z = (self.origin[axis] + self.edge * grid.axis(axis) for axis in range(3))
@@ -101,7 +178,7 @@ class WarpedField(ScalarField):
         deque(ordered_map(fill, blocks, threads), maxlen=0)
         return values.T
 
-    def _at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _at(self, points: F64) -> F32:
         """Values at points (n, 3) mm."""
         cell, places = self.curved.continued(points)
         values = np.full(len(points), VOID, np.float32)
@@ -122,10 +199,10 @@ class WarpedField(ScalarField):
             interpolate(self._brick(tuple(int(k) for k in np.unravel_index(one, size))), places, chosen, values)
         return values
 
-    def _brick(self, site: tuple[int, ...]) -> NDArray[np.float32]:
+    def _brick(self, site: tuple[int, ...]) -> F32:
         """Samples of a cell, and a few around it, (n + 4,) * 3."""
 
-        def make() -> NDArray[np.float32]:
+        def make() -> F32:
             h = 1.0 / self.samples
             x, y, z = (k - BEFORE * h for k in site)
             grid = Grid((x, y, z), (h,) * 3, (self.samples + 4,) * 3)
@@ -133,7 +210,7 @@ class WarpedField(ScalarField):
             inner = self.base.base if isinstance(self.base, RepeatedField) else self.base
             return bounded(np.ascontiguousarray(inner.sample_zyx(grid, 0, self.samples + 4).T))
 
-        made: NDArray[np.float32] = self.kept.get(site, make)
+        made: F32 = self.kept.get(site, make)
         return made
 
     def summary(self) -> dict[str, Any]:
@@ -141,7 +218,7 @@ class WarpedField(ScalarField):
         return {**self.base.summary(), "curved_cells": self.curved.count}
 
 
-def bounded(brick: NDArray[np.float32]) -> NDArray[np.float32]:
+def bounded(brick: F32) -> F32:
     """Samples cut off a few spacings from the surface, in place, so that cubics swing over nothing far from it.
 
     Distances estimated from a slope are very large where it vanishes. What lies within two samples of the surface is

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.curved_cells import BentBox, CurvedCells, Mapped
@@ -19,6 +18,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.stage import Context, Stage
 
 SAMPLES, FINE_SAMPLES = 64, 128
@@ -49,7 +49,7 @@ class Warper(Stage):
     def curved(self, field: ScalarField) -> CurvedCells:
         """The bent cells of a field."""
 
-    def mapped(self, field: ScalarField, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, field: ScalarField, places: F64) -> Mapped:
         """Points at places (n, 3) of the box, in cell sizes from its low corner; also beyond the box."""
         curved = self.curved(field)
         assert isinstance(curved, BentBox)
@@ -112,20 +112,20 @@ class Warper(Stage):
         return made
 
 
-def _middles(graph: LaidGraph, cells: tuple[int, int, int], wraps: tuple[bool, bool, bool]) -> NDArray[np.float64]:
+def _middles(graph: LaidGraph, cells: tuple[int, int, int], wraps: tuple[bool, bool, bool]) -> F64:
     """Middles of the tunnels in the box; those that go around by the shorter way."""
     start, end = (graph.points[graph.edges[:, k]] for k in range(2))
     way = end - start
     for axis in range(3):
         if wraps[axis]:
             way[:, axis] -= cells[axis] * np.round(way[:, axis] / cells[axis])
-    middle: NDArray[np.float64] = start + way / 2
+    middle: F64 = start + way / 2
     return middle
 
 
 def _without_lost(graph: LaidGraph) -> LaidGraph:
     """The graph without pores that have no place, and their tunnels."""
-    kept: NDArray[np.bool_] = np.isfinite(graph.points[:, 0])
+    kept: Bools = np.isfinite(graph.points[:, 0])
     number = np.cumsum(kept) - 1
     whole = kept[graph.edges].all(axis=1)
     return LaidGraph(graph.points[kept], graph.omega[kept], number[graph.edges[whole]], graph.mu[whole])

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerWriter
 from sppm_pipeline.method.nouns.printer import Printer, Resin, cards
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
+from sppm_pipeline.services.arrays import U8
 from sppm_pipeline.stage import Context, Headline, option
 
 PREVIEW_SAMPLES = 128
@@ -31,14 +31,14 @@ class Place(NamedTuple):
     height: int
     width: int
 
-    def filled(self, block: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def filled(self, block: U8) -> U8:
         """The whole picture, black around the block."""
         picture = np.zeros((self.height, self.width), np.uint8)
         picture[self.top : self.top + block.shape[0], self.left : self.left + block.shape[1]] = block
         return picture
 
 
-def placed(image: NDArray[np.uint8], printer: Printer) -> tuple[NDArray[np.uint8], Place]:
+def placed(image: U8, printer: Printer) -> tuple[U8, Place]:
     """A layer (ny, nx), as `LayerWriter.encode` takes it, in the middle of the display, turned as it is exposed."""
     (width, height), (rows, columns) = printer.pixels, image.shape
     left, top = (width - columns) // 2, height - rows - (height - rows) // 2
@@ -108,7 +108,7 @@ class Preview:
         """The layers that it looks at."""
         return self._at.keys()
 
-    def add(self, number: int, image: NDArray[np.uint8]) -> None:
+    def add(self, number: int, image: U8) -> None:
         """Take in a layer, as `LayerWriter.encode` takes it."""
         from PIL import Image
 
@@ -117,7 +117,7 @@ class Preview:
             small = Image.fromarray(image).resize((nx, ny), Image.Resampling.BOX)
             self._share[k] = np.asarray(small, np.float32)[::-1] / 255
 
-    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
+    def picture(self, width: int, height: int) -> U8:
         """The part seen from the front and above, (height, width, 3); the background alone if nothing is solid."""
         from sppm_pipeline.services.mesh.closing import capped_marching_cubes
         from sppm_pipeline.services.pictures.mesh_view import render_mesh
@@ -129,7 +129,7 @@ class Preview:
         return render_mesh(vertices, faces, size=(width, height))
 
 
-def thumbnail(layers: EncodedLayers, width: int, height: int) -> NDArray[np.uint8]:
+def thumbnail(layers: EncodedLayers, width: int, height: int) -> U8:
     """A picture of the part whose layers a `PrinterWriter` has all taken, (height, width, 3)."""
     assert isinstance(layers.observer, Preview)
     return layers.observer.picture(width, height)
@@ -201,7 +201,7 @@ class PrinterWriter(LayerWriter):
             context.warn(f"{printer.name} reads {printer.convert_to} files: convert {self.path} by UVtools")
         super().run(context, stack)
 
-    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
+    def encode(self, image: U8, stack: SliceStack) -> bytes:
         printer = self._printer(stack)
         if stack.gray and self.gray_from > 1:
             image = spread_grays(self.gray_from)[image]
@@ -232,7 +232,7 @@ class PrinterWriter(LayerWriter):
         return stack.printer
 
     @abstractmethod
-    def encode_placed(self, block: NDArray[np.uint8], place: Place, printer: Printer) -> bytes:
+    def encode_placed(self, block: U8, place: Place, printer: Printer) -> bytes:
         """One layer as bytes; called by several threads at once.
 
         Parameters
@@ -245,7 +245,7 @@ class PrinterWriter(LayerWriter):
         """
 
 
-def spread_grays(lowest: int) -> NDArray[np.uint8]:
+def spread_grays(lowest: int) -> U8:
     """Table of 256 grays: 0 stays, 1 to 255 are spread evenly from `lowest` to 255."""
     table = np.rint(lowest + (np.arange(256) - 1) * (255 - lowest) / 254)
     table[0] = 0

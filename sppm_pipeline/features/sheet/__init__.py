@@ -25,5 +25,5 @@ def sppm_presets() -> dict[str, Preset]:
                 {"stage": "field.sheet", "density": "${density}", "balance": "${balance}"},
             ],
             {"total": 95, "edge": None, "density": 0.3, "balance": 0.57},
-        ),
+        )
     }

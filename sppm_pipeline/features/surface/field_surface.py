@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.surface.mesh_stream import MeshPiece, MeshStream, RimPoints
+from sppm_pipeline.features.surface.mesh_stream import MeshPiece, MeshStream, RimPoints, count_mesh
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import ExpectedSize
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import computed_ahead
 
@@ -38,7 +38,7 @@ PLANES_BACK = 4
 PIECE_SAMPLES = 2**16
 """Samples marched through at a time; what is known of the vertices of some pieces is kept, and stays in the cache."""
 
-Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+Mesh = tuple[F64, I32]
 Item = TypeVar("Item")
 
 
@@ -77,9 +77,9 @@ class SampledSlab(NamedTuple):
     """Consecutive planes of samples."""
 
     start: int  # number of the first plane
-    values: NDArray[np.float32]  # (planes, ny, nx), negative in the solid
+    values: F32  # (planes, ny, nx), negative in the solid
     # of a part: the fields of the microstructure, of the domain, and of the skin if there is one
-    apart: tuple[NDArray[np.float32], ...] | None
+    apart: tuple[F32, ...] | None
     crossings: Crossings  # of a part's domain with edges that begin in these planes
 
 
@@ -87,9 +87,9 @@ class _FlatPiece(NamedTuple):
     """A piece whose vertices are not yet moved, and the surroundings of its rims."""
 
     piece: MeshPiece
-    points: NDArray[np.float64]  # (k, 3), those on rims of this piece and all before
-    losers: NDArray[np.int32]  # (k,), vertices beside rims with volumes that are lost there
-    lost: NDArray[np.float64]  # (k,), these volumes, voxels
+    points: F64  # (k, 3), those on rims of this piece and all before
+    losers: I32  # (k,), vertices beside rims with volumes that are lost there
+    lost: F64  # (k,), these volumes, voxels
 
 
 @dataclass(frozen=True)
@@ -130,13 +130,13 @@ class FieldSurface:
 
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
+    ) -> tuple[F64, I32, dict[str, Any]]:
         """Vertices (n, 3) float64 in cell sizes, faces (m, 3) int32, and what was removed; same for all `threads`."""
         return self.mesh_with_kinds(threads, progress)[:3]
 
     def mesh_with_kinds(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any], NDArray[np.uint8]]:
+    ) -> tuple[F64, I32, dict[str, Any], U8]:
         """`mesh`, and of a part what each face lies on, (m,) uint8: FIELD, DOMAIN or SKIN; else without elements."""
         from sppm_pipeline.services.mesh.marching_cubes import joined_mesh
 
@@ -175,7 +175,7 @@ class FieldSurface:
         bulging = Bulging(self.grid)
         waiting: deque[MeshPiece] = deque()  # a face comes when its vertices are there
 
-        def moved(vertices: Iterator[NDArray[np.float64]]) -> Iterator[MeshPiece]:
+        def moved(vertices: Iterator[F64]) -> Iterator[MeshPiece]:
             for done in vertices:  # which goes when the next one comes
                 if waiting:
                     yield waiting.popleft()._replace(vertices=done.copy() if ahead else done)
@@ -198,11 +198,11 @@ class FieldSurface:
         origin, spacing, (nx, ny, nz) = self.grid
         part = self._cut_part
         nothing = np.empty((0, 0, 0), np.float32)
-        planes: list[tuple[NDArray[np.float32], ...]] = []
+        planes: list[tuple[F32, ...]] = []
         crossings = NO_CROSSINGS
         start = 0
 
-        def values() -> Iterator[NDArray[np.float32]]:
+        def values() -> Iterator[F32]:
             # a piece ends a plane before its planes do, and what is done to it looks two planes back
             nonlocal start, crossings
             for sampled in _with_progress(slabs, nz, progress):
@@ -277,8 +277,6 @@ class FieldSurface:
         del found
 
         def predict() -> ExpectedSize:
-            from sppm_pipeline.features.surface.numerics.run_counts import count_mesh
-
             return self._predicted(*count_mesh(solid_runs, stays, self.caps, threads))
 
         def cleaned() -> Iterator[SampledSlab]:
@@ -291,7 +289,7 @@ class FieldSurface:
         certain = None if torus or isinstance(self.source, Part) else predict
         return SampledSlabs(cleaned(), {"removed_share": removed}, (vertices, 2 * vertices), certain)
 
-    def _predicted(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> ExpectedSize:
+    def _predicted(self, vertices: int, faces: int, low: I64, high: I64) -> ExpectedSize:
         """Of a mesh whose solid nodes lie in this box: it ends within a voxel, or where it is capped."""
         origin, spacing, last = np.array(self.grid.origin), np.array(self.grid.spacing), np.array(self.grid.shape) - 1
         least = origin + np.array([low, high]) * spacing

@@ -1,4 +1,9 @@
-"""A mesh that comes in pieces, as it is extracted, and the points on its rims."""
+"""A mesh that comes in pieces, as it is extracted, and the points on its rims.
+
+Numbers of vertices and triangles that marching cubes will make, and their box, from the runs of the solid.
+
+Exact, as both depend on the signs of the samples alone; so a file can begin with the counts before there is a mesh.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +11,133 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.method.connectivity.runs import Runs
 from sppm_pipeline.method.nouns.mesh import ExpectedSize
+from sppm_pipeline.services.arrays import F64, I32, I64, U8, U64, Bools
+from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.mesh.marching_tables import case_tables
+from sppm_pipeline.services.mesh.sign_words import ONE, lowest, mixed_cells, ones, plane_crossings, shifted_word
+from sppm_pipeline.services.threads import in_bands
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.field_surface import SampledSlabs
     from sppm_pipeline.features.surface.numerics.rims import Split
+
+_ALL, _LAST = np.uint64(0xFFFFFFFFFFFFFFFF), np.int64(63)
+
+
+class Counts(NamedTuple):
+    """Counts of a mesh to come."""
+
+    vertices: int
+    faces: int
+    low: I64  # (3,), first node of the solid along x, y, z; of no meaning without triangles
+    high: I64  # (3,), the last one
+
+
+def count_mesh(runs: Runs, keep: Bools, capped: bool, threads: int = 1) -> Counts:
+    """Count the vertices and triangles that `capped_marching_cubes_slabs` makes of a solid.
+
+    Runs that `keep`, (n,) bool, marks are solid. If `capped`, the surface is closed at the outermost nodes of each
+    axis; else it ends there.
+    """
+    nz, ny, nx = runs.shape
+    # a cap is what marching cubes makes of a border of void
+    pad = int(capped)
+    size, table = np.array([nz, ny, nx], np.int64), case_tables().counts
+    found: list[tuple[int, int]] = []
+
+    def count(start: int, stop: int) -> None:
+        found.append(_count(runs.rows, runs.bounds, keep, size, pad, start, stop, table))
+
+    in_bands(count, nz + 2 * pad, threads)
+    box = np.empty((2, 3), np.int64)
+    _find_box(runs.rows, runs.bounds, keep, size, box)
+    return Counts(sum(vertices for vertices, _ in found), sum(faces for _, faces in found), box[0], box[1])
+
+
+@jit
+def _fill_plane(rows: I64, bounds: I32, keep: Bools, size: I64, pad: int, plane: int, words: U64) -> None:
+    """The signs of a plane, which is void if it lies outside of the solid's."""
+    words[:] = np.uint64(0)
+    if plane < pad or plane >= size[0] + pad:
+        return
+    row = (plane - pad) * size[1]
+    for y in range(size[1]):
+        for r in range(rows[row + y], rows[row + y + 1]):
+            if not keep[r]:
+                continue
+            first, last = np.int64(bounds[2 * r]) + pad, np.int64(bounds[2 * r + 1]) + pad - 1
+            head, tail = _ALL << np.uint64(first & _LAST), _ALL >> np.uint64(_LAST - (last & _LAST))
+            w, end = first >> 6, last >> 6
+            if w == end:
+                words[y + pad, w] |= head & tail
+                continue
+            words[y + pad, w] |= head
+            for between in range(w + 1, end):
+                words[y + pad, between] = _ALL
+            words[y + pad, end] |= tail
+
+
+@jit
+def _count(
+    rows: I64, bounds: I32, keep: Bools, size: I64, pad: int, start: int, stop: int, table: U8
+) -> tuple[int, int]:
+    """Vertices and triangles of the planes start <= p < stop, and between each of them and the plane before it."""
+    ny, nx = size[1] + 2 * pad, size[2] + 2 * pad
+    low, high = np.empty((ny, (nx + 63) // 64), np.uint64), np.empty((ny, (nx + 63) // 64), np.uint64)
+    vertices, faces = int(np.int64(0)), int(np.int64(0))
+    if start > 0:
+        _fill_plane(rows, bounds, keep, size, pad, start - 1, high)
+    for p in range(start, stop):
+        low, high = high, low
+        _fill_plane(rows, bounds, keep, size, pad, p, high)
+        vertices += plane_crossings(high, nx)
+        if p == 0:
+            continue
+        for j in range(ny):
+            for w in range(low.shape[1]):
+                vertices += ones(low[j, w] ^ high[j, w])
+                bits = mixed_cells(low, high, j, w, nx) if j + 1 < ny else np.uint64(0)
+                if bits == 0:
+                    continue
+                s0, s1, s2, s3 = low[j, w], low[j + 1, w], high[j, w], high[j + 1, w]
+                n0, n1 = shifted_word(low, j, w), shifted_word(low, j + 1, w)
+                n2, n3 = shifted_word(high, j, w), shifted_word(high, j + 1, w)
+                while bits != 0:
+                    k = np.uint64(lowest(bits))
+                    bits &= bits - ONE
+                    case = (s0 >> k) & ONE | ((n0 >> k) & ONE) << np.uint64(1)
+                    case |= ((s1 >> k) & ONE) << np.uint64(2) | ((n1 >> k) & ONE) << np.uint64(3)
+                    case |= ((s2 >> k) & ONE) << np.uint64(4) | ((n2 >> k) & ONE) << np.uint64(5)
+                    case |= ((s3 >> k) & ONE) << np.uint64(6) | ((n3 >> k) & ONE) << np.uint64(7)
+                    faces += int(table[case])
+    return vertices, faces
+
+
+@jit
+def _find_box(rows: I64, bounds: I32, keep: Bools, size: I64, box: I64) -> None:
+    box[0, 0], box[0, 1], box[0, 2] = size[2], size[1], size[0]
+    box[1] = -1
+    for row in range(size[0] * size[1]):
+        for r in range(rows[row], rows[row + 1]):
+            if keep[r]:
+                z, y = row // size[1], row % size[1]
+                box[0, 0] = min(box[0, 0], np.int64(bounds[2 * r]))
+                box[1, 0] = max(box[1, 0], np.int64(bounds[2 * r + 1]) - 1)
+                box[0, 1], box[1, 1] = min(box[0, 1], y), max(box[1, 1], y)
+                box[0, 2], box[1, 2] = min(box[0, 2], z), max(box[1, 2], z)
 
 
 class MeshPiece(NamedTuple):
     """Some vertices and triangles of a mesh."""
 
     # (n, 3), following upon those of the pieces before; valid until the next piece is asked for
-    vertices: NDArray[np.float64]
+    vertices: F64
     # (m, 3), by numbers in the whole mesh, of this piece and those before; -1 - p is point p of those on rims
-    faces: NDArray[np.int32]
-    kinds: NDArray[np.uint8]  # (m,), what each face lies on, or without elements
+    faces: I32
+    kinds: U8  # (m,), what each face lies on, or without elements
 
 
 class MeshStream:
@@ -37,7 +152,7 @@ class MeshStream:
         return self._pieces
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> F64:
         """The points on rims that the pieces so far have, (k, 3)."""
         return self._rims.points
 
@@ -70,11 +185,11 @@ class RimPoints:
         self._numbers = np.empty(0, np.int64)
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> F64:
         """All points so far, (k, 3)."""
         return self._room[: self._count]
 
-    def numbered(self, split: Split) -> NDArray[np.int32]:
+    def numbered(self, split: Split) -> I32:
         """Keep the new points of a piece; its faces, with negative numbers -1 - p for points[p]."""
         if not len(split.points):
             self._keys, self._numbers = np.empty(0, np.int64), np.empty(0, np.int64)
@@ -98,7 +213,7 @@ class RimPoints:
         self._keys, self._numbers = keys[here], numbers[here]
         return split.faces
 
-    def _append(self, points: NDArray[np.float64]) -> None:
+    def _append(self, points: F64) -> None:
         total = self._count + len(points)
         if total > len(self._room):
             grown = np.empty((2 * total, 3))
@@ -111,14 +226,14 @@ class RimPoints:
 class PieceWindow:
     """The vertices of a piece behind those of the piece before, times a scale and moved by an origin (3,)."""
 
-    def __init__(self, scale: float, origin: NDArray[np.float64]) -> None:
+    def __init__(self, scale: float, origin: F64) -> None:
         self._scale, self._origin = scale, origin
         self._rooms = [np.empty((0, 3)), np.empty((0, 3))]  # in turn, so that the last but one stays as it is
         self._last = np.empty((0, 3))
         self.base = self.known = 0
         """Number of the first vertex, and how many are of the piece before."""
 
-    def push(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    def push(self, vertices: F64) -> F64:
         """Take the next vertices, (n, 3); the window, which stays as it is until the call after the next one."""
         from sppm_pipeline.features.surface.numerics.placing import put_rescaled
 

@@ -77,6 +77,8 @@ class Microstructure(KernelSum):
     """Whether kernels may measure distances in metrics of their own."""
     counted: ClassVar[bool] = True
     """Whether more pores in a cell change its porosity."""
+    is_sum: ClassVar[bool] = True
+    """Whether G is a continuous sum; else `laid_values` is sampled, and nothing is interpolated."""
 
     cell: Cell
     graph: TunnelGraph
@@ -216,10 +218,19 @@ class Microstructure(KernelSum):
 
     @property
     def coarse_pitch(self) -> float | None:
-        if self.exact or not LOWEST_LEVEL <= self.level < 1:
+        if self.exact or not self.is_sum or not LOWEST_LEVEL <= self.level < 1:
             return None
         kernels = self.pieces.kernels
         return finest_pitch(*steepest(kernels), kernels.profile, self.level)
+
+    @property
+    def additive(self) -> bool:
+        return self.is_sum
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
+        if self.is_sum:
+            return super().own_values(grid, start, stop, threads)
+        return self.alone(0, (0, 0, 0)).own_values(grid, start, stop, threads)
 
     def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         if self.interiors > 1 or max(self.colors) > 1:

@@ -13,14 +13,12 @@ from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.features.browser.live.data import MAGIC, encode_view, head_of
+from sppm_pipeline.features.browser.live.page import MAGIC, encode_view, head_of
 from sppm_pipeline.features.browser.live.views import clustered, view_of
-from sppm_pipeline.features.browser.report.boxes import boxes, duration, porosities
-from sppm_pipeline.features.browser.report.build import report_html
-from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart, ticks
+from sppm_pipeline.features.browser.report.boxes import boxes, chart_svg, duration, line_chart, porosities, ticks
+from sppm_pipeline.features.browser.report.build import report_html, wiring_svg
 from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of
 from sppm_pipeline.features.browser.report.records import read_record
-from sppm_pipeline.features.browser.report.wiring import wiring_svg
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
@@ -64,7 +62,7 @@ def test_what_can_not_be_done_is_said(tmp_path, capsys, words, code, said):
 
 
 def test_a_page_of_its_run_is_current(copied):
-    from sppm_pipeline.features.browser.live.command import is_current
+    from sppm_pipeline.features.browser.live.serving import is_current
 
     page = copied / "report.html"
     assert not is_current(copied, page)
@@ -78,8 +76,7 @@ def test_the_page_is_served_to_this_machine_only(copied):
     import http.client
     import threading
 
-    from sppm_pipeline.features.browser.live.command import handler_of
-    from sppm_pipeline.features.browser.live.serving import LocalServer
+    from sppm_pipeline.features.browser.live.serving import LocalServer, handler_of
 
     (copied / "report.html").write_text("the page", encoding="utf-8")
     with LocalServer(0, handler_of(copied / "report.html")) as server:

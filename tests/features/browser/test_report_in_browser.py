@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.engine.strict_json import json_text, sealed
-from sppm_pipeline.features.browser.live.data import head_of
-from sppm_pipeline.features.browser.live.page import ASSETS, live_page
+from sppm_pipeline.features.browser.live.page import ASSETS, head_of, live_page
 from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.report.build import report_html
 from sppm_pipeline.features.browser.report.records import read_record

@@ -8,10 +8,18 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.browser.live import graph_picture
-from sppm_pipeline.features.browser.live.graph_picture import BALL, CONNECTOR, EDGE, FACES, INNER, INTERIOR, TUNNEL
 from sppm_pipeline.features.browser.live.pictures import TILE_COLORS
-from sppm_pipeline.features.browser.stages.write_picture import WritePicture
+from sppm_pipeline.features.browser.stages import write_picture as graph_picture
+from sppm_pipeline.features.browser.stages.write_picture import (
+    BALL,
+    CONNECTOR,
+    EDGE,
+    FACES,
+    INNER,
+    INTERIOR,
+    TUNNEL,
+    WritePicture,
+)
 from sppm_pipeline.features.browser.stages.write_section import WriteSection, plane_of, with_curve
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph

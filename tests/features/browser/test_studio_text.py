@@ -7,7 +7,7 @@ import pytest
 
 from sppm_pipeline.engine.config.document import parse_yaml, plain
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.browser.studio.text import places, with_values
+from sppm_pipeline.features.browser.studio.controls import places, with_values
 
 FLOW = """\
 sppm: 1   # the format

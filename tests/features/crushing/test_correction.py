@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.crushing.numerics.correction import after_preload, blank_run, without_blank, without_toe
-from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, measures
+from sppm_pipeline.features.crushing.numerics.compression import Specimen, measures
+from sppm_pipeline.features.crushing.stages.read_compression import after_preload, blank_run, without_blank, without_toe
 
 AREA, HEIGHT = 2025.0, 45.0
 STRAIN = np.arange(6001) / 10000

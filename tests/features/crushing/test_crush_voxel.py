@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.engine.plan.checking import is_declared
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.crushing.compression import CrushedBody
-from sppm_pipeline.features.crushing.crush_report import is_quiet
+from sppm_pipeline.features.crushing.crusher import is_quiet
 from sppm_pipeline.features.crushing.numerics.march import March
 from sppm_pipeline.features.crushing.stages.crush_voxel import CrushVoxel
 from sppm_pipeline.features.crushing.stages.measure_compression import measured

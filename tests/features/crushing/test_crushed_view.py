@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.crushing.crushed_view import exposed_triangles, frame_pictures
+from sppm_pipeline.features.crushing.stages.write_frames import exposed_triangles, frame_pictures
 from sppm_pipeline.services.pictures.camera import Camera
 from sppm_pipeline.services.pictures.shading import BONE
 

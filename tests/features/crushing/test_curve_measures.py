@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.crushing.crush_report import PLATEAU, mean_stress
-from sppm_pipeline.features.crushing.numerics.compression import loading, loading_branch, mean_and_spread, work_ratio
-from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, measures
+from sppm_pipeline.features.crushing.crusher import PLATEAU, mean_stress
+from sppm_pipeline.features.crushing.numerics.compression import (
+    Specimen,
+    loading,
+    loading_branch,
+    mean_and_spread,
+    measures,
+    work_ratio,
+)
 
 SPECIMEN = Specimen("MPa", area=2025.0, height=45.0, density=0.4)
 # rises to 3 MPa at 3 %, falls to a plateau of 2 MPa, then 2.2 MPa at 50 %, and densifies

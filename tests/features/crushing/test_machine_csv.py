@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.features.crushing.machine_columns import UNITS
-from sppm_pipeline.features.crushing.machine_csv import read_readings
+from sppm_pipeline.features.crushing.machine_csv import UNITS, read_readings
 
 FORCE = np.array([0.0, 12.5, 1250.25, 980.0, 1500.0])
 WAY = np.array([0.0, 0.05, 0.5, 1.25, 2.0])

@@ -5,7 +5,7 @@ import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.crushing.compression import CompressionCurve
-from sppm_pipeline.features.crushing.numerics.curve_measures import measures
+from sppm_pipeline.features.crushing.numerics.compression import measures
 from sppm_pipeline.features.crushing.stages.measure_compression import NUMBERS, MeasureCompression
 from sppm_pipeline.testing.plain_context import PlainContext
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, measures
+from sppm_pipeline.features.crushing.numerics.compression import Specimen, measures
 from sppm_pipeline.features.crushing.stages.read_compression import ReadCompression
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.plain_context import PlainContext

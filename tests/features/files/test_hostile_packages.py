@@ -14,7 +14,7 @@ import pytest
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.files.formats.detect import FORMATS, decode_mesh
-from sppm_pipeline.features.files.formats.three_mf_encode import _RELATIONS, _TYPES
+from sppm_pipeline.features.files.formats.three_mf import _PACKAGE_RELATIONS, _TYPES
 from sppm_pipeline.features.files.formats.three_mf_model import CORE, PRODUCTION
 from sppm_pipeline.services.formats.mesh_arrays import MAX_PLACED, MAX_TRIANGLES
 
@@ -76,7 +76,7 @@ def with_primitive(**primitive: Any) -> bytes:
 def package(model: str | bytes | None, *, level: int = 6, **parts: str | bytes) -> bytes:
     """A 3MF file of a model part."""
     out = io.BytesIO()
-    named = {"[Content_Types].xml": _TYPES, "_rels/.rels": _RELATIONS, **parts}
+    named = {"[Content_Types].xml": _TYPES, "_rels/.rels": _PACKAGE_RELATIONS, **parts}
     if model is not None:
         named["3D/3dmodel.model"] = model
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=level) as file:
@@ -278,7 +278,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "document.3mf": (lambda: package(None, **{"word/document.xml": "<x/>"}), "missing"),
     "other_zip.3mf": (lambda: package(None, **{"_rels/.rels": "<Relationships/>"}), "names no 3D model"),
     "target.3mf": (
-        lambda: package(model(), **{"_rels/.rels": _RELATIONS.replace(b"/3D/3d", b"/../../etc/")}),
+        lambda: package(model(), **{"_rels/.rels": _PACKAGE_RELATIONS.replace(b"/3D/3d", b"/../../etc/")}),
         "missing",
     ),
     "encrypted.3mf": (encrypted, "encrypted"),

@@ -14,8 +14,7 @@ from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import SppmError
-from sppm_pipeline.features.files.piece_file import PieceFile
-from sppm_pipeline.features.files.stages.write_mesh import ENCODERS, IN_PIECES, WriteMesh
+from sppm_pipeline.features.files.stages.write_mesh import ENCODERS, IN_PIECES, PieceFile, WriteMesh
 from sppm_pipeline.features.surface.field_surface import FieldSurface
 from sppm_pipeline.features.surface.mesh_stream import PieceWindow
 from sppm_pipeline.features.surface.stages import extract_marching_cubes as marching_cubes

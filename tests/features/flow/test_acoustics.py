@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from sppm_pipeline.features.flow.numerics.acoustics import (
+from sppm_pipeline.features.flow.acoustics import (
     THIRD_OCTAVES,
     PoreParameters,
     absorption,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.flow.acoustics import AcousticReport
-from sppm_pipeline.features.flow.numerics.acoustics import air
+from sppm_pipeline.features.flow.acoustics import AcousticReport, air
 from sppm_pipeline.features.flow.stages.homogenize_acoustics import HomogenizeAcoustics
 from sppm_pipeline.features.flow.stages.write_absorption import WriteAbsorption
 from sppm_pipeline.method.fields.scalar_field import ScalarField

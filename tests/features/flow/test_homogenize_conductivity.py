@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.flow.conductivity import ConductivityReport
+from sppm_pipeline.features.flow.permeability import ConductivityReport
 from sppm_pipeline.features.flow.stages.homogenize_conductivity import HomogenizeConductivity
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.voxels import Voxels

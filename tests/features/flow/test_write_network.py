@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.flow.numerics.pore_network import cut_at_faces, measured, permeability
-from sppm_pipeline.features.flow.stages.write_network import WriteNetwork
+from sppm_pipeline.features.flow.stages.write_network import WriteNetwork, cut_at_faces, measured, permeability
 from sppm_pipeline.method.fields.microstructure import Microstructure, pieces_from_graph
 from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
 from sppm_pipeline.method.nouns.pores import PoreSet

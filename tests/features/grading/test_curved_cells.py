@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.features.grading.curved_cells import CylinderCells, HexahedralCells, SphereCells
-from sppm_pipeline.features.grading.numerics.hexahedral_determinant import above_throughout, determinant_coefficients
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import (
     PLACES,
+    above_throughout,
     boundary_triangles,
     checked_mesh,
     corner_determinants,
+    determinant_coefficients,
     outer_hexahedra,
     split,
 )

@@ -9,8 +9,7 @@ import pytest
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.grading.laws import FormulaLaw
-from sppm_pipeline.features.grading.numerics.normal_scores import score_table, scores_of
-from sppm_pipeline.features.grading.stages.field_blend import BlendFields
+from sppm_pipeline.features.grading.stages.field_blend import BlendFields, score_table, scores_of
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.services.grid import Grid

@@ -8,8 +8,9 @@ import pytest
 
 from sppm_pipeline.engine.plan.estimate import estimate_plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.features.grading import curved_porosity, hexahedra
+from sppm_pipeline.features.grading import curved_porosity
 from sppm_pipeline.features.grading.curved_porosity import MORE_LAYERS, CurvedSamples
+from sppm_pipeline.features.grading.stages import read_hexahedra
 from sppm_pipeline.features.grading.stages.read_hexahedra import ReadHexahedra
 from sppm_pipeline.nouns.size import ONE
 from sppm_pipeline.services.mesh.measures import volume
@@ -118,10 +119,10 @@ def test_a_mesh_that_changes_is_read_again_and_a_huge_one_not_at_all(tmp_path, m
     saved(tmp_path, star(5, 4.0, layers=3))
     assert ReadHexahedra(path=path).estimate(ONE).cells == 15
     reads = []
-    monkeypatch.setattr(hexahedra, "read_hexahedra", lambda path: reads.append(path))
+    monkeypatch.setattr(read_hexahedra, "read_hexahedra", lambda path: reads.append(path))
     assert ReadHexahedra(path=path).estimate(ONE).cells == 15
     assert not reads
-    monkeypatch.setattr(hexahedra, "MAX_BYTES", 100)
+    monkeypatch.setattr(read_hexahedra, "MAX_BYTES", 100)
     with pytest.raises(LookupError, match="too large"):
         ReadHexahedra(path=path).estimate(ONE)
 

@@ -13,10 +13,9 @@ from scipy import ndimage
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples
 from sppm_pipeline.features.grading.laid_graph import laid_graph
-from sppm_pipeline.features.grading.numerics.hexahedra import block_of, mapped_in_block
-from sppm_pipeline.features.grading.numerics.samples import as_tetrahedra
+from sppm_pipeline.features.grading.laws import as_tetrahedra
 from sppm_pipeline.features.grading.stages.warp_cylinder import WarpCylinder
-from sppm_pipeline.features.grading.stages.warp_hexahedra import WarpHexahedra
+from sppm_pipeline.features.grading.stages.warp_hexahedra import WarpHexahedra, block_of, mapped_in_block
 from sppm_pipeline.features.grading.stages.warp_sphere import WarpSphere
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity

@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sppm_pipeline.features.printing.numerics.curing import CureThrough
-from sppm_pipeline.features.printing.numerics.distance import Coarsened, StreamedDistance, coarse_factors
-from sppm_pipeline.features.printing.numerics.openings import ThinFeatures, Throats
+from sppm_pipeline.features.printing.numerics.openings import (
+    Coarsened,
+    CureThrough,
+    StreamedDistance,
+    ThinFeatures,
+    Throats,
+    coarse_factors,
+)
 from sppm_pipeline.features.printing.numerics.routes import Depth
 
 

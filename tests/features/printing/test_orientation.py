@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.printing.numerics.orientation import not_dominated, score_turned, turn_up, upward_directions
-from sppm_pipeline.features.printing.numerics.scan import PrintScan
+from sppm_pipeline.features.printing.numerics.layers import PrintScan
+from sppm_pipeline.features.printing.stages.tune_orientation import (
+    not_dominated,
+    score_turned,
+    turn_up,
+    upward_directions,
+)
 from sppm_pipeline.services.mesh.rotation import rotation
 
 

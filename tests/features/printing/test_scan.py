@@ -8,8 +8,19 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sppm_pipeline.features.printing.numerics.layers import convex_hull, margin_inside, reach_of, unsupported
-from sppm_pipeline.features.printing.numerics.scan import CUP, ISLAND, OVERHANG, SOLID, TRAP, VOID, PrintScan
+from sppm_pipeline.features.printing.numerics.layers import (
+    CUP,
+    ISLAND,
+    OVERHANG,
+    SOLID,
+    TRAP,
+    VOID,
+    PrintScan,
+    convex_hull,
+    margin_inside,
+    reach_of,
+    unsupported,
+)
 from sppm_pipeline.method.connectivity.runs import find_runs
 
 

@@ -5,8 +5,7 @@ import pytest
 from scipy import ndimage
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.printing.plate_slices import packed, tag
-from sppm_pipeline.features.printing.stages.slice_plate import SlicePlate
+from sppm_pipeline.features.printing.stages.slice_plate import SlicePlate, packed, tag
 from sppm_pipeline.method.nouns.printer import cards
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.nouns.length import Length

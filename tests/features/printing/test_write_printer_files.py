@@ -15,8 +15,8 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.printing.formats import goo
 from sppm_pipeline.features.printing.printer_writer import Preview
+from sppm_pipeline.features.printing.stages import write_goo as goo
 from sppm_pipeline.features.printing.stages.write_goo import WriteGoo
 from sppm_pipeline.features.printing.stages.write_nanodlp import WriteNanodlp
 from sppm_pipeline.features.printing.stages.write_sl1 import WriteSl1

@@ -4,7 +4,7 @@ import networkx
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.sheet.numerics.coloring import OWN_SHARE, two_networks
+from sppm_pipeline.features.sheet.numerics.waves import OWN_SHARE, two_networks
 from sppm_pipeline.method.connecting.candidates import candidate_graph
 
 

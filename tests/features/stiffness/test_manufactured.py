@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.features.flow.numerics.conduction import conduction_hierarchy
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import conjugate_gradients, rigid_modes
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_assembly import assemble
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import Blocks
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_multigrid import aggregation
+from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import aggregation, conjugate_gradients, rigid_modes
+from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import Blocks, assemble
 from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.services.multigrid.solver import Stop, solve
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.stiffness.numerics.onset import onsets
-from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset
+from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset, onsets
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.features.surface.numerics import booleans
-from sppm_pipeline.features.surface.numerics.booleans import boolean, check_solid, run_boolean
+from sppm_pipeline.features.surface import solids as booleans
+from sppm_pipeline.features.surface.solids import boolean, check_solid, run_boolean
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh, torus_mesh
 from sppm_pipeline.services.mesh.measures import edge_counts, volume
 

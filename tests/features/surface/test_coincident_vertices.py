@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sppm_pipeline.features.surface.numerics.level_set import (
+from sppm_pipeline.features.surface.solids import (
     coincident_vertices,
     run_level_set,
     separate_coincident_vertices,

@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.surface.numerics.level_set import (
+from sppm_pipeline.features.surface.solids import (
     _minus_value_at,
     lattice_bytes,
     lattice_samples,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.surface.mesh_store import MeshStore
+from sppm_pipeline.features.surface.stages.extract_marching_cubes import MeshStore
 from sppm_pipeline.services.paging import blocks, mapping_of, release
 
 Pieces = list[tuple[np.ndarray, np.ndarray]]

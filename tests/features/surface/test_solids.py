@@ -9,9 +9,13 @@ import pytest
 
 from sppm_pipeline.errors import DesignError, InputError, NativeCrash, ResourceError
 from sppm_pipeline.features.surface import solids
-from sppm_pipeline.features.surface.numerics.booleans import boolean
-from sppm_pipeline.features.surface.numerics.level_set import run_level_set
-from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine, manifold_extract
+from sppm_pipeline.features.surface.solids import (
+    ManifoldLimits,
+    boolean,
+    manifold_combine,
+    manifold_extract,
+    run_level_set,
+)
 from sppm_pipeline.features.surface.stages.extract_manifold_sdf import ManifoldSdf
 from sppm_pipeline.features.surface.stages.fill_boolean import BooleanFill
 from sppm_pipeline.features.surface.stages.fill_combine import Combine

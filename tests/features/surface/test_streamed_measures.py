@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
 from sppm_pipeline.features.surface.numerics.rim_points import number_points
+from sppm_pipeline.features.surface.stages.extract_marching_cubes import StreamedMeasures
 from sppm_pipeline.services.mesh.marching_cubes import marching_cubes_slabs
 from sppm_pipeline.services.mesh.measures import balanced_edges, box_and_volume
 

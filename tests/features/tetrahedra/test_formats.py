@@ -4,10 +4,15 @@ import meshio
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.tetrahedra.numerics.node_sets import SIDES, boundary_surfaces, box_copies, box_node_sets
-from sppm_pipeline.features.tetrahedra.numerics.periodic import matched_nodes
-from sppm_pipeline.features.tetrahedra.numerics.quadratic import minimum_jacobian, with_mid_nodes
-from sppm_pipeline.features.tetrahedra.numerics.stuffing import stuff
+from sppm_pipeline.features.tetrahedra.numerics.quality import minimum_jacobian, with_mid_nodes
+from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import stuff
+from sppm_pipeline.features.tetrahedra.stages.write_volume_mesh import (
+    SIDES,
+    boundary_surfaces,
+    box_copies,
+    box_node_sets,
+)
+from sppm_pipeline.features.tetrahedra.volume_mesh import matched_nodes
 from sppm_pipeline.services.formats import inp, msh, vtu
 
 N = 6

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError, ResourceError
-from sppm_pipeline.features.tetrahedra.numerics.periodic import face_match, matched_nodes
 from sppm_pipeline.features.tetrahedra.numerics.quality import quality
-from sppm_pipeline.features.tetrahedra.numerics.stuffing import ANGLES
 from sppm_pipeline.features.tetrahedra.stages.mesh_boundary import Boundary
-from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import IsosurfaceStuffing
+from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import ANGLES, IsosurfaceStuffing
+from sppm_pipeline.features.tetrahedra.volume_mesh import face_match, matched_nodes
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.stages.tile_periodic import PeriodicTiling
 from sppm_pipeline.nouns.length import Length

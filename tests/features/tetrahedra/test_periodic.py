@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.tetrahedra.numerics.periodic import face_match, loose_parts, matched_nodes
+from sppm_pipeline.features.tetrahedra.volume_mesh import face_match, loose_parts, matched_nodes
 
 BOX = np.array([[-1.0, 2, 5], [1, 3, 9]])
 SIX = [(0, *p, 7) for p in ((1, 3), (3, 2), (2, 6), (6, 4), (4, 5), (5, 1))]

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.tetrahedra.numerics.periodic import matched_nodes
-from sppm_pipeline.features.tetrahedra.numerics.quadratic import EDGES, minimum_jacobian, with_mid_nodes
-from sppm_pipeline.features.tetrahedra.numerics.quality import volumes
-from sppm_pipeline.features.tetrahedra.numerics.stuffing import stuff
+from sppm_pipeline.features.tetrahedra.numerics.quality import EDGES, minimum_jacobian, volumes, with_mid_nodes
+from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import stuff
+from sppm_pipeline.features.tetrahedra.volume_mesh import matched_nodes
 
 
 def test_each_edge_gets_one_node_in_its_middle(noise):

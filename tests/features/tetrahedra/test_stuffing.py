@@ -8,9 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.features.tetrahedra.numerics import periodic
+from sppm_pipeline.features.tetrahedra import volume_mesh as periodic
 from sppm_pipeline.features.tetrahedra.numerics.quality import dihedral_extremes, quality, volumes
-from sppm_pipeline.features.tetrahedra.numerics.stuffing import ANGLES, TOO_CLOSE, require_room, stuff, without_islands
+from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import (
+    ANGLES,
+    TOO_CLOSE,
+    require_room,
+    stuff,
+    without_islands,
+)
 from sppm_pipeline.services.mesh import faces
 from sppm_pipeline.services.mesh.measures import edge_counts, volume
 
@@ -221,7 +227,7 @@ def test_nothing_solid():
 def test_too_many_tetrahedra_are_refused_before_they_are_made(monkeypatch):
     values = np.full((13, 13, 13), -1, np.float32)
     count = len(stuff(values, True).tets)
-    monkeypatch.setattr("sppm_pipeline.features.tetrahedra.numerics.stuffing.MAX_TETRAHEDRA", count // 2)
+    monkeypatch.setattr("sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing.MAX_TETRAHEDRA", count // 2)
     with pytest.raises(ResourceError, match="tetrahedra"):
         stuff(values, True)
 

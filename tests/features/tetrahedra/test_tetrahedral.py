@@ -8,11 +8,16 @@ from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, identity, kron, vst
 from scipy.sparse.linalg import splu
 
 from sppm_pipeline.features.tetrahedra.numerics.mortar import collocation, face_pairs, mortar
-from sppm_pipeline.features.tetrahedra.numerics.periodic import matched_nodes
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import Projector, homogenize_tetrahedra, rigid_modes, tied
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_assembly import assemble
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import Blocks
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_multigrid import aggregation, interpolation
+from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import (
+    Projector,
+    aggregation,
+    homogenize_tetrahedra,
+    interpolation,
+    rigid_modes,
+    tied,
+)
+from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import Blocks, assemble
+from sppm_pipeline.features.tetrahedra.volume_mesh import matched_nodes
 from sppm_pipeline.services.elastic.voigt import PAIRS, isotropic, lame, rotated
 
 BOX = np.array([[0, 0, 0], [1, 1, 1.0]])

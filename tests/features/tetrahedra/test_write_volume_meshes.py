@@ -130,7 +130,7 @@ def test_cells_inside_out_are_turned(mesh, tmp_path):
     assert read.volume == pytest.approx(mesh.volume)
     assert "inside out" in context.warnings[0]
     if kind == "tetra10":
-        from sppm_pipeline.features.tetrahedra.numerics.quadratic import minimum_jacobian
+        from sppm_pipeline.features.tetrahedra.numerics.quality import minimum_jacobian
 
         assert (minimum_jacobian(read.nodes, read.cells) > 0).all()
 

@@ -266,7 +266,7 @@ def test_sizes_of_the_design_are_told(tuned):
 
 @pytest.mark.parametrize("struts", [0.4, 1.0])
 def test_struts_are_the_weighted_mean_of_walls_and_kernels(struts):
-    from sppm_pipeline.features.walls.walls_field import KERNEL
+    from sppm_pipeline.features.walls.stages.field_walls import KERNEL
 
     pores = PoreSet.from_array(np.random.default_rng(2).random((20, 3)))
     graph = TunnelGraph.from_arrays(pores, np.array([[0, 1]]))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.features.surface.numerics.run_counts import count_mesh
+from sppm_pipeline.features.surface.mesh_stream import count_mesh
 from sppm_pipeline.method.connectivity.islands import clear_runs
 from sppm_pipeline.method.connectivity.runs import find_runs
 from sppm_pipeline.services.mesh.closing import capped_marching_cubes, capped_marching_cubes_slabs, wrapped

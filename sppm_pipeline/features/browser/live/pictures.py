@@ -17,6 +17,7 @@ from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, png_of
+from sppm_pipeline.services.arrays import F32, F64, I64, U8
 from sppm_pipeline.services.grid import VOXEL_FACES, Grid
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class Scene:
         annotate: bool = False,
         background: Background = "light",
         threads: int = 1,
-    ) -> NDArray[np.uint8]:
+    ) -> U8:
         """A view (height, width, 3), or with a transparent background (height, width, 4) uint8, of `size` (width,
         height).
 
@@ -121,13 +122,13 @@ def scene_of(
     return Scene(solid, what.edge_mm, removed, COLORS)
 
 
-def _box(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def _box(grid: Grid) -> tuple[F64, NDArray[np.integer]]:
     """Vertices and triangles of the box that a grid fills, wound outwards."""
     ends = [(grid.origin[a], grid.origin[a] + (grid.shape[a] - 1) * grid.spacing[a]) for a in range(3)]
     return np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]), _BOX_FACES
 
 
-def _smooth(field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _smooth(field: ScalarField, values: F32) -> F32:
     """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
     from sppm_pipeline.method.kernels.profiles import log_of_sums
 
@@ -168,7 +169,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     return solid if outer is None else solid._replace(outer=outer), removed
 
 
-def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.uint8]) -> float:
+def _remove_islands(fields: tuple[F32, ...], held: U8) -> float:
     """Make void what is not connected to the largest component of the samples held by the part; return its share.
 
     The fields are changed in place. They go on beyond the surface of the part, where solid stays that is within
@@ -195,17 +196,17 @@ def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.ui
 
 
 def mesh_picture(
-    vertices: NDArray[np.float64],
+    vertices: F64,
     faces: NDArray[np.integer],
     size: tuple[int, int],
     camera: Camera,
     *,
-    colors: NDArray[np.uint8] | None = None,
+    colors: U8 | None = None,
     unit_mm: float | None = 1.0,
     annotate: bool = False,
     background: Background = "light",
     threads: int = 1,
-) -> NDArray[np.uint8]:
+) -> U8:
     """Triangles, seen from both sides; (height, width, 3), or 4 with a transparent background."""
     from sppm_pipeline.services.pictures.camera import framed
     from sppm_pipeline.services.pictures.mesh_view import render_mesh
@@ -230,7 +231,7 @@ def voxel_picture(
     annotate: bool = False,
     background: Background = "light",
     threads: int = 1,
-) -> NDArray[np.uint8]:
+) -> U8:
     """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles."""
     phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
     # only every second or third voxel of larger images is looked at; no pixel would show the rest
@@ -248,9 +249,7 @@ def voxel_picture(
     )  # fmt: skip
 
 
-def phase_surface(
-    phases: NDArray[np.uint8], spacing: tuple[float, float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
+def phase_surface(phases: U8, spacing: tuple[float, float, float]) -> tuple[F64, I64, U8]:
     """Faces of voxels, `phases` (nx, ny, nz) with edges `spacing`, that border on void (0) or on the outside.
 
     Vertices (p, 3), triangles (n, 3) with normals outwards, and for each the color of the phase behind it.
@@ -279,7 +278,7 @@ def tile_sheet(
     background: Background = "light",
     threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> NDArray[np.uint8]:
+) -> U8:
     """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities.
 
     The cut faces of Wang tiles of up to three colors are red, blue or green.
@@ -305,7 +304,7 @@ def tile_sheet(
 
 def _tile_picture(
     scene: Scene, colors: tuple[int, int, int] | None, camera: Camera, background: Background, threads: int
-) -> NDArray[np.uint8]:
+) -> U8:
     """A tile whose cut faces across each axis show a color: each is taken from a picture with cuts of its color."""
     from PIL import Image, ImageDraw
 

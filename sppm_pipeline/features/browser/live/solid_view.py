@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.tiling.lattice import dilated
+from sppm_pipeline.services.arrays import F32, F64, I64, U8, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.camera import Frame, projected
 from sppm_pipeline.services.pictures.mesh_view import vertex_normals
@@ -57,12 +58,12 @@ class Solid(NamedTuple):
     """Solid: negative samples (nz, ny, nx) within a mesh."""
 
     grid: Grid  # of the samples, all spacings equal
-    vertices: NDArray[np.float64]  # (n, 3), of the mesh, in the unit of the grid
+    vertices: F64  # (n, 3), of the mesh, in the unit of the grid
     faces: NDArray[np.integer]  # (m, 3); they bound the part, wound outwards
-    field: NDArray[np.float32]  # negative in the solid of the microstructure
-    skin: NDArray[np.float32] = _NO_VALUES  # negative in the skin, which is united with the microstructure
+    field: F32  # negative in the solid of the microstructure
+    skin: F32 = _NO_VALUES  # negative in the skin, which is united with the microstructure
     # positive outside of a part whose triangles do not bound it; the mesh is then something around it
-    outer: NDArray[np.float32] = _NO_VALUES
+    outer: F32 = _NO_VALUES
 
 
 class Colors(NamedTuple):
@@ -77,9 +78,7 @@ class Colors(NamedTuple):
 COLORS = Colors()
 
 
-def _traced(
-    scene: RayScene, pixels: NDArray[np.int64], offsets: NDArray[np.float64], threads: int
-) -> Iterator[tuple[NDArray[np.int64], Seen]]:
+def _traced(scene: RayScene, pixels: I64, offsets: F64, threads: int) -> Iterator[tuple[I64, Seen]]:
     """Some of the pixels at a time, and what rays through some places of each see, (pixels, places)."""
     for start in range(0, len(pixels), _BATCH):
         some = pixels[start : start + _BATCH]
@@ -89,7 +88,7 @@ def _traced(
         yield some, found
 
 
-def _edges(seen: Seen) -> NDArray[np.int64]:
+def _edges(seen: Seen) -> I64:
     """Pixels whose depth, normal or color jumps to a neighbor in their row or column, by number."""
     edges = np.zeros(seen.depth.shape, np.bool_)
     for start in range(0, len(edges), _BAND):  # a band at a time, for memory
@@ -125,7 +124,7 @@ def render_solid(
     background: Background = "light",
     antialias: bool = True,
     threads: int = 1,
-) -> NDArray[np.uint8]:
+) -> U8:
     """Picture (height, width, 3) uint8 (sRGB) of a solid, with the opacity as a fourth channel if the background is
     transparent.
 
@@ -179,7 +178,7 @@ def _scene(
     )  # fmt: skip
 
 
-def _void(solid: Solid) -> NDArray[np.uint8]:
+def _void(solid: Solid) -> U8:
     """Lower bound of the distance of each block, in blocks, to the next one that may hold solid; up to `_FAR`."""
     near = _in_blocks(solid.field < 0 if not solid.skin.size else (solid.field < 0) | (solid.skin < 0))
     if solid.outer.size:
@@ -192,7 +191,7 @@ def _void(solid: Solid) -> NDArray[np.uint8]:
     return void
 
 
-def _in_blocks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_blocks(mask: Bools) -> Bools:
     """Blocks of 2 x 2 x 2 cubes with any of their 27 samples in the mask."""
     for axis in range(3):
         low = np.arange(0, max(1, mask.shape[axis] - 1), 2)

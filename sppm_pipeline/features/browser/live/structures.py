@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.browser.live.data import encode_view
-from sppm_pipeline.features.browser.live.page import live_page
+from sppm_pipeline.features.browser.live.page import encode_view, live_page
 from sppm_pipeline.method.assembly.contents import lone_periodic_cell, site_pieces, sites_between
 from sppm_pipeline.method.fields.microstructure import CUTOFF, Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField
@@ -19,6 +18,7 @@ from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.kernels import Kernels, concatenated
 from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.services.arrays import F32, U8
 from sppm_pipeline.services.grid import Grid, cell_centers
 
 DEPTH = 3.0
@@ -189,9 +189,7 @@ def _view_grid(field: ScalarField, samples: int) -> Grid:
     return Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
 
 
-def _sampled(
-    field: ScalarField, grid: Grid, threads: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, float, float]:
+def _sampled(field: ScalarField, grid: Grid, threads: int) -> tuple[F32, F32 | None, float, float]:
     """Samples (nz, ny, nx), distance from the domain in samples or None, the level, and the largest value kept."""
     outer = None
     if isinstance(field, Part):
@@ -208,6 +206,6 @@ def _sampled(
     return inner, outer, 0.0, float(np.quantile(near, 0.98)) or 1.0
 
 
-def _bytes(values: NDArray[Any]) -> NDArray[np.uint8]:
-    found: NDArray[np.uint8] = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+def _bytes(values: NDArray[Any]) -> U8:
+    found: U8 = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
     return found

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.browser.live.data import encode_view
+from sppm_pipeline.features.browser.live.page import encode_view
 from sppm_pipeline.nouns.artifact import Artifact, Viewable
 from sppm_pipeline.nouns.viewers import viewer_of
+from sppm_pipeline.services.arrays import F64, I64
 
 SAMPLES = 3_500_000
 """Samples of a field that is not summed in the browser; packed they take one to two megabytes."""
@@ -67,9 +68,7 @@ def mesh_view(
     return encode_view(head, {"vertices": steps.T, "faces": shown.astype(np.uint32).T})
 
 
-def clustered(
-    points: NDArray[np.float64], faces: NDArray[np.integer[Any]], most: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def clustered(points: F64, faces: NDArray[np.integer[Any]], most: int) -> tuple[F64, I64]:
     """Vertices and triangles, at most `most` of them, as the vertices in cubes of a grid are merged into their mean.
 
     The grid is the finest of those tried, each coarser by 15 %; vertices are sorted by cubes, triangles by vertices.

@@ -1,13 +1,148 @@
-"""The numbers at the top of a report: porosity by every way it was found, what reports state, layers, time, memory."""
+"""The numbers at the top of a report: porosity by every way it was found, what reports state, layers, time, memory.
+
+Small charts as SVG, drawn by the page's own colors: curves over a number, or over directions.
+
+`render.charts` draws the charts of results with matplotlib; those of a report need no more than axes, ticks and
+polylines, follow the dark scheme, and must not make a report depend on an optional library.
+"""
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from sppm_pipeline.nouns.artifact import Artifact, shown
-from sppm_pipeline.nouns.report import Box, is_number
+from sppm_pipeline.nouns.report import Box, Chart, Curve, is_number
+from sppm_pipeline.services.arrays import F64
+
+WIDTH, HEIGHT = 560, 250
+LEFT, RIGHT, TOP, BOTTOM = 62, 14, 14, 44
+
+
+def ticks(low: float, high: float, about: int = 5) -> list[float]:
+    """Round numbers from `low` to `high`: multiples of 1, 2 or 5 times a power of ten."""
+    step = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(step))
+    step = min((m * power for m in (1, 2, 5, 10) if m * power >= step), default=10 * power)
+    # ends that are multiples but for rounding keep their ticks
+    first = math.ceil(low / step - 1e-9)
+    return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str = "") -> str:
+    """Curves over one number as an ``<svg>``; empty if there is nothing to draw."""
+    data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
+    known = [np.isfinite(x) & np.isfinite(y) for x, y in data]
+    if not any(k.any() for k in known):
+        return ""
+    xs, ys = (np.concatenate([pair[i][k] for pair, k in zip(data, known, strict=True)]) for i in range(2))
+    (x0, x1), (y0, y1) = _range(xs), _range(ys)
+    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+
+    def across(x: Any) -> Any:
+        return LEFT + (x - x0) / (x1 - x0) * (right - LEFT)
+
+    def down(y: Any) -> Any:
+        return bottom - (y - y0) / (y1 - y0) * (bottom - TOP)
+
+    parts = []
+    for tick in ticks(x0, x1, 6):
+        parts.append(f'<path class="grid" d="M{across(tick):.1f} {TOP}V{bottom}"/>')
+        parts.append(f'<text x="{across(tick):.1f}" y="{bottom + 15}" text-anchor="middle">{tick:.5g}</text>')
+    for tick in ticks(y0, y1, 4):
+        parts.append(f'<path class="grid" d="M{LEFT} {down(tick):.1f}H{right}"/>')
+        parts.append(f'<text x="{LEFT - 6}" y="{down(tick) + 4:.1f}" text-anchor="end">{tick:.5g}</text>')
+    for number, ((x, y), curve) in enumerate(zip(data, curves, strict=True)):
+        if curve.points:
+            ok = known[number]
+            dots = zip(across(x[ok]).tolist(), down(y[ok]).tolist(), strict=True)
+            parts += [f'<circle class="s{number % 4}" cx="{a:.1f}" cy="{b:.1f}" r="2.6"/>' for a, b in dots]
+        else:
+            parts.append(f'<path class="s{number % 4}" d="{_path(across(x), down(y))}"/>')
+    parts.append(f'<path class="axis" d="M{LEFT} {TOP}V{bottom}H{right}"/>')
+    parts.append(f'<text x="{(LEFT + right) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{html.escape(x_label)}</text>')
+    middle = (TOP + bottom) / 2
+    parts.append(
+        f'<text x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
+        f"{html.escape(y_label)}</text>"
+    )
+    parts += _legend([curve.label for curve in curves], LEFT + 12, TOP + 8)
+    # the page's script finds by these attributes what was clicked on
+    where = f'id="{id_}" data-x0="{x0:.9g}" data-x1="{x1:.9g}" data-left="{LEFT}" data-right="{right}"' if id_ else ""
+    name = html.escape(f"{y_label} over {x_label}", quote=True)
+    return (
+        f'<svg class="chart" {where} viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
+        f"{''.join(parts)}</svg>"
+    )
+
+
+def _range(values: F64) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    pad = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
+    # what begins at zero is seen to begin there
+    return (low if low == 0 else low - pad), high + pad
+
+
+def _path(x: F64, y: F64) -> str:
+    """Path data; NaN interrupts it."""
+    words, pen = [], False
+    for a, b in zip(x.tolist(), y.tolist(), strict=True):
+        if math.isfinite(a) and math.isfinite(b):
+            words.append(f"{'L' if pen else 'M'}{a:.1f} {b:.1f}")
+            pen = True
+        else:
+            pen = False
+    return "".join(words)
+
+
+def _legend(labels: Sequence[str], x: float, y: float) -> list[str]:
+    parts = []
+    for number, label in enumerate(labels):
+        if label and len(labels) > 1:
+            at = y + 15 * number
+            parts.append(f'<path class="s{number % 4}" d="M{x} {at}h20"/>')
+            parts.append(f'<text x="{x + 26}" y="{at + 4}">{html.escape(label)}</text>')
+    return parts
+
+
+def chart_svg(chart: Chart) -> str:
+    """A chart that a report noun or a plugin describes, as an ``<svg>``; empty if there is nothing to draw."""
+    if chart.polar:
+        return polar_chart(chart.curves, chart.x_label)
+    return line_chart(chart.curves, chart.x_label, chart.y_label)
+
+
+def polar_chart(curves: Sequence[Curve], label: str) -> str:
+    """Curves over the directions of a plane as an ``<svg>``, `x` the angles from the right (radians) and `y` distances
+    from the middle, finite and not all zero; empty if there is nothing to draw. `label` says what the distances are.
+    """
+    data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
+    largest = max((float(radius.max()) for _, radius in data), default=0.0)
+    if not 0 < largest < math.inf:
+        return ""
+    size, middle, radius = 320, 160.0, 118.0
+    parts = []
+    for value in ticks(0, largest, 3)[1:]:
+        r = radius * value / largest
+        parts.append(f'<circle class="ring" cx="{middle}" cy="{middle}" r="{r:.1f}"/>')
+        parts.append(f'<text x="{middle + 3}" y="{middle - r - 3:.1f}">{value:.4g}</text>')
+    parts.append(
+        f'<path class="grid" d="M{middle - radius} {middle}h{2 * radius}M{middle} {middle - radius}v{2 * radius}"/>'
+    )
+    for number, (turn, distances) in enumerate(data):
+        x, y = (radius * distances / largest * turned(turn) for turned in (np.cos, np.sin))
+        parts.append(f'<path class="s{number % 4}" d="{_path(middle + x, middle - y)}"/>')
+    parts += _legend([curve.label for curve in curves], 8, 12)
+    parts.append(f'<text x="{middle}" y="{size - 8}" text-anchor="middle">{html.escape(label)}</text>')
+    return (
+        f'<svg class="chart polar" viewBox="0 0 {size} {size}" role="img" aria-label="{html.escape(label)}">'
+        f"{''.join(parts)}</svg>"
+    )
+
 
 MAX_GAP = 0.003
 """Porosities that differ by more are shown in red: three times the default tolerance of `tune.porosity`."""

@@ -3,34 +3,134 @@
 from __future__ import annotations
 
 import base64
+import html
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
+from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.run.events import PluginHooks, list_of
 from sppm_pipeline.engine.run.verification import differences, verify_run
-from sppm_pipeline.errors import InputError, described
-from sppm_pipeline.features.browser.live.data import head_of
+from sppm_pipeline.errors import InputError, SppmError, described
 from sppm_pipeline.features.browser.live.page import (
     ASSETS,
     LIVE_SCRIPTS,
     environment,
+    head_of,
     joined_script,
     json_block,
     policy,
 )
-from sppm_pipeline.features.browser.report.boxes import boxes, duration
-from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart
-from sppm_pipeline.features.browser.report.layers import Layers, layers_of, outputs_of, pictures_of
+from sppm_pipeline.features.browser.report.boxes import boxes, chart_svg, duration, line_chart
+from sppm_pipeline.features.browser.report.layers import Layers, data_uri, layers_of, outputs_of, pictures_of
 from sppm_pipeline.features.browser.report.records import without_folders
-from sppm_pipeline.features.browser.report.results import kinds_of, sections_of
 from sppm_pipeline.features.browser.report.sweeps import sweep_context
-from sppm_pipeline.features.browser.report.wiring import wiring_svg
-from sppm_pipeline.nouns.artifact import shown
+from sppm_pipeline.nouns.artifact import Artifact, shown
 from sppm_pipeline.nouns.report import Curve, ReportSection
+
+BOX, HIGH, GAP, DOWN = 190, 40, 18, 34
+"""Width and height of a box, and the gaps beside and below it; choices."""
+
+LONGEST = 24
+"""Characters of a name that fit into a box."""
+
+
+def wiring_svg(stages: Sequence[Mapping[str, Any]]) -> str:
+    """Boxes in rows by the longest way from a stage without inputs; empty for no stages. Of each stage, in order,
+    `id`, `stage`, `state` ("done", "kept", "failed" or "missing"), `inputs` (port -> id) and `recipes` are taken.
+    """
+    if not stages:
+        return ""
+    rank: dict[str, int] = {}
+    for stage in stages:
+        sources = [rank[s] for s in stage["inputs"].values() if s in rank]
+        # below all that it takes something from, so that lines lead down
+        rank[stage["id"]] = max(sources, default=-1) + 1
+    rows: dict[int, list[Mapping[str, Any]]] = {}
+    for stage in stages:
+        rows.setdefault(rank[stage["id"]], []).append(stage)
+    most = max(len(row) for row in rows.values())
+    width = most * (BOX + GAP) + GAP
+    place = {
+        stage["id"]: (width / 2 + (column - (len(row) - 1) / 2) * (BOX + GAP), GAP + r * (HIGH + DOWN))
+        for r, row in rows.items()
+        for column, stage in enumerate(row)
+    }
+    height = GAP + (max(rows) + 1) * (HIGH + DOWN)
+    parts = []
+    for stage in stages:
+        x, y = place[stage["id"]]
+        for source in stage["inputs"].values():
+            if source in place:
+                a, b = place[source]
+                bend = (y - b - HIGH) / 2
+                parts.append(
+                    f'<path class="wire" d="M{a:.1f} {b + HIGH}C{a:.1f} {b + HIGH + bend:.1f} {x:.1f} '
+                    f'{y - bend:.1f} {x:.1f} {y}"/>'
+                )
+    for stage in stages:
+        x, y = place[stage["id"]]
+        recipes = ", ".join(str(name) for name in stage["recipes"].values())
+        below = stage["stage"] if stage["stage"] != stage["id"] else f"recipe {recipes}" if recipes else ""
+        title = f"{stage['id']} ({stage['stage']}): {stage['state']}"
+        parts.append(
+            f'<g class="{stage["state"]}"><title>{html.escape(title)}</title>'
+            f'<rect x="{x - BOX / 2:.1f}" y="{y}" width="{BOX}" height="{HIGH}" rx="6"/>'
+            f'<text x="{x:.1f}" y="{y + (17 if below else 25)}" text-anchor="middle">{_cut(stage["id"])}</text>'
+            + (
+                f'<text class="minor" x="{x:.1f}" y="{y + 32}" text-anchor="middle">{_cut(below)}</text>'
+                if below
+                else ""
+            )
+            + "</g>"
+        )
+    return (
+        f'<svg class="wiring" viewBox="0 0 {width} {height}" style="max-width:{width}px" role="img" '
+        f'aria-label="wiring of {len(stages)} stages">{"".join(parts)}</svg>'
+    )
+
+
+def _cut(text: str) -> str:
+    return html.escape(text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…")
+
+
+def kinds_of(stages: Sequence[Mapping[str, Any]], registry: Registry) -> dict[str, type[Artifact]]:
+    """The type of what each recorded stage made, by its id.
+
+    It is that of this name among the results that the stages of the run and of its recipes announce, else what the
+    stage itself announces; stages that are not known, because a plugin is not loaded, are left out.
+    """
+    known: dict[str, type[Artifact]] = {}
+    announced: dict[str, type[Artifact]] = {}
+    for stage in stages:
+        for one in (stage, *stage.get("inner", ())):
+            for kind in _announced(str(one.get("stage")), registry):
+                known[kind.__name__] = kind
+                announced.setdefault(str(one["id"]), kind)
+    kinds = ((str(stage["id"]), known.get(str(stage.get("made")))) for stage in stages if stage.get("made"))
+    return {id_: found for id_, kind in kinds if (found := kind or announced.get(id_)) is not None}
+
+
+def _announced(name: str, registry: Registry) -> Iterator[type[Artifact]]:
+    try:
+        makes = signature_of(registry.get(name)).makes
+    except SppmError:
+        return
+    yield from (kind for kind in makes if isinstance(kind, type) and issubclass(kind, Artifact))
+
+
+def sections_of(record: Mapping[str, Any], plugins: Plugins) -> list[ReportSection]:
+    """The sections of all plugins; what one raises stands in the place of its own."""
+    found: list[ReportSection] = []
+    hooks = PluginHooks(plugins.plugins)
+    for plugin, own, wrong in hooks.call("sppm_report_sections", record, list_of(ReportSection)):
+        found += [ReportSection(str(plugin), f"sppm_report_sections {wrong}")] if wrong else own
+    return found
+
 
 HERE = Path(__file__).parent
 
@@ -248,8 +348,6 @@ def _section(section: ReportSection) -> dict[str, Any]:
 
 def _layers(layers: Layers, view: Mapping[str, Any] | None) -> dict[str, Any]:
     """Layers as the template shows them: without a script, the one in the middle, and the chart."""
-    from sppm_pipeline.features.browser.report.layers import data_uri
-
     middle = len(layers.files) // 2
     z = [layers.origin_mm[2] + (n + 0.5) * layers.layer_mm for n in layers.numbers]
     curves, label = [Curve(layers.numbers, layers.solid_mm2, "solid")], "solid area, mm²"

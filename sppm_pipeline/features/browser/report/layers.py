@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.engine.config.names import output_parts
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.services.arrays import F64
 
 MAX_LAYERS = 1500
 """Layers in a report; of more, every k-th is shown."""
@@ -41,7 +41,7 @@ class Layers(NamedTuple):
     pixel_mm: tuple[float, float]
     layer_mm: float
     origin_mm: tuple[float, float, float]
-    solid_mm2: NDArray[np.float64]  # (n,), solid area of each of these layers
+    solid_mm2: F64  # (n,), solid area of each of these layers
 
     def head(self) -> dict[str, Any]:
         """Description of the bytes for the script of the page."""

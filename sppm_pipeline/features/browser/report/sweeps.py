@@ -11,8 +11,7 @@ from typing import Any
 
 from sppm_pipeline.engine.run.outputs import SWEEP_RUNS
 from sppm_pipeline.features.browser.live.page import json_block
-from sppm_pipeline.features.browser.report.boxes import duration
-from sppm_pipeline.features.browser.report.charts import line_chart
+from sppm_pipeline.features.browser.report.boxes import duration, line_chart
 from sppm_pipeline.features.browser.report.layers import outputs_of, pictures_of
 from sppm_pipeline.features.browser.report.records import without_folders
 from sppm_pipeline.nouns.artifact import shown

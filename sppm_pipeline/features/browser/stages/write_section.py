@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Palette, ScalarField, Size, Stage, option, options
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.services.arrays import F64, U8
 from sppm_pipeline.services.grid import Grid
 
 MAX_PIXELS = 4096
@@ -89,7 +89,7 @@ _CURVES = tuple(
 """Blue, green and yellow as in the paper's figure, then those of charts."""
 
 
-def plane_of(field: ScalarField, axis: int, at: float, pixels: int, threads: int) -> NDArray[np.float64]:
+def plane_of(field: ScalarField, axis: int, at: float, pixels: int, threads: int) -> F64:
     """Values on a plane across an axis, (rows, columns), the first remaining axis to the right and the other one up."""
     across, up = (a for a in range(3) if a != axis)
     wide, high = field.cells[across], field.cells[up]
@@ -103,9 +103,7 @@ def plane_of(field: ScalarField, axis: int, at: float, pixels: int, threads: int
     return np.ascontiguousarray(values.T[::-1])
 
 
-def with_curve(
-    picture: NDArray[np.uint8], values: NDArray[np.float64], level: float, color: tuple[int, int, int]
-) -> NDArray[np.uint8]:
+def with_curve(picture: U8, values: F64, level: float, color: tuple[int, int, int]) -> U8:
     """The picture (h, w, 3) with the curve on which `values` (h, w) are `level`; nothing where they have no slope."""
     slope = np.hypot(*np.gradient(values))
     # the distance to the curve in pixels, to first order, so that curves are as wide on steep slopes as on flat ones

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Stage, Table, option, options
 from sppm_pipeline.nouns.table import RunFile
+from sppm_pipeline.services.arrays import U8
 
 MAX_PICTURES = 400
 """Pictures on a sheet."""
@@ -61,7 +61,7 @@ class WriteSheet(Stage):
         sheet = contact_sheet(pictures, [label for _, label in there], columns=self.per_row, title=self.title)
         Image.fromarray(sheet).save(context.output(self.path))
 
-    def _read(self, file: RunFile) -> NDArray[np.uint8]:
+    def _read(self, file: RunFile) -> U8:
         from PIL import Image, UnidentifiedImageError
 
         try:

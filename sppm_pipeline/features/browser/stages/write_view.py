@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline import Context, Palette, ScalarField, Size, Stage, TileSet, Viewable, option, options
-from sppm_pipeline.features.browser.live.data import head_of
+from sppm_pipeline.features.browser.live.page import head_of
 from sppm_pipeline.features.browser.live.views import SAMPLES, view_of
 
 

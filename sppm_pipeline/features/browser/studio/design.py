@@ -25,10 +25,9 @@ from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, ResourceError, SppmError
-from sppm_pipeline.features.browser.live.data import head_of
+from sppm_pipeline.features.browser.live.page import head_of
 from sppm_pipeline.features.browser.live.views import view_of
-from sppm_pipeline.features.browser.studio.controls import Control, controls_of
-from sppm_pipeline.features.browser.studio.text import places, with_values
+from sppm_pipeline.features.browser.studio.controls import Control, controls_of, places, with_values
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.tileset import TileSet

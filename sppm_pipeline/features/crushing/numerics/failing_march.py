@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.crushing.numerics import element, plates
-from sppm_pipeline.features.crushing.numerics.body import Body, surface_of
+from sppm_pipeline.features.crushing.numerics import element
+from sppm_pipeline.features.crushing.numerics.body import DROPPED, Body, surface_of
+from sppm_pipeline.features.crushing.numerics.contact import SelfContact
 from sppm_pipeline.features.crushing.numerics.march import ENERGIES, Failed, Load, March
 from sppm_pipeline.features.crushing.numerics.material import ALPHA, LANES, RELEASED, Material, failing
-from sppm_pipeline.features.crushing.numerics.selfcontact import SelfContact
 
 VOLUMES = (0.05, 5.0)
 """Range of the volume of a voxel that has begun to fail, over that at rest, beyond which it is released."""
@@ -214,12 +214,12 @@ class FailingMarch(March):
 
     def _drop(self) -> None:
         """Nodes that belong to released voxels alone leave, with their motion."""
-        leaving = self._alone & (self._held & plates.DROPPED == 0)
+        leaving = self._alone & (self._held & DROPPED == 0)
         if leaving.any():
             self._failed += 0.5 * float(np.sum(self._mass[leaving, None] * self._v[leaving] ** 2))
             self._v[leaving] = 0
             self._f[leaving] = 0
-            self._held[leaving] |= plates.DROPPED
+            self._held[leaving] |= DROPPED
 
     def _expose(self) -> None:
         """The surface of what is left, whose contacts are to be searched."""

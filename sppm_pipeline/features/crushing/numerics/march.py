@@ -10,17 +10,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.crushing.numerics import contact, element, plates
-from sppm_pipeline.features.crushing.numerics.body import Body, wave_speed
-from sppm_pipeline.features.crushing.numerics.material import (
-    ALPHA,
-    LANES,
-    PLASTIC,
-    RATIO,
-    Material,
-    constants,
+from sppm_pipeline.features.crushing.numerics import contact, element
+from sppm_pipeline.features.crushing.numerics.body import (
+    BOTTOM,
+    CHUNK,
+    DAMPED,
+    KINETIC,
+    MOVED,
+    ROLLS_X,
+    ROLLS_Y,
+    SUMS,
+    TOP,
+    WORK,
+    Body,
+    move,
+    wave_speed,
 )
-from sppm_pipeline.features.crushing.numerics.selfcontact import SelfContact
+from sppm_pipeline.features.crushing.numerics.contact import SelfContact
+from sppm_pipeline.features.crushing.numerics.material import ALPHA, LANES, PLASTIC, RATIO, Material, constants
 from sppm_pipeline.numerics import find_components
 
 COURANT, STABLE = 0.6, 0.8
@@ -120,7 +127,7 @@ class March:
         self._density = self._modulus[body.phases]
         self._held = np.zeros(len(body.nodes), np.uint8)
         if load.confined:
-            for axis, bit in ((0, plates.ROLLS_X), (1, plates.ROLLS_Y)):
+            for axis, bit in ((0, ROLLS_X), (1, ROLLS_Y)):
                 at = body.nodes[:, axis]
                 self._held[(at == 0) | (at == body.shape[axis])] |= bit
         # what changes
@@ -137,7 +144,7 @@ class March:
         self._heavier = np.ones(len(body.corners))
         self.step = 0
         self._sums = np.zeros((len(body.slabs) - 1, element.SUMS))
-        self._node_sums = np.zeros((-(-len(self.x) // plates.CHUNK), plates.SUMS))
+        self._node_sums = np.zeros((-(-len(self.x) // CHUNK), SUMS))
         self._work = 0.0
         self._from_mass = 0.0
         k = min(contact.STIFFNESS, contact.STABLE / (wave_speed(materials) * self.dt) ** 2)
@@ -195,17 +202,17 @@ class March:
         ])  # fmt: skip
 
         def nodes(a: int, b: int) -> None:
-            plates.move(
+            move(
                 self.x, self._v, self._f, self._mass, self._mass0, self._held, self._listed, a, b, step,
                 self._node_sums,
             )  # fmt: skip
 
-        before = float(self._node_sums[:, plates.TOP].sum())
+        before = float(self._node_sums[:, TOP].sum())
         self._share(len(self._node_sums), nodes)
-        self._work += speed * (float(self._node_sums[:, plates.TOP].sum()) - before)
+        self._work += speed * (float(self._node_sums[:, TOP].sum()) - before)
         self.step += 1
         self._contact.follow(self.x, self._v)
-        if float(self._node_sums[:, plates.MOVED].max()) > contact.SLACK**2:
+        if float(self._node_sums[:, MOVED].max()) > contact.SLACK**2:
             self.relist()
         self._forces()
         # looking at stiffness costs a pass over the elements, which compress by less than a percent in so few steps
@@ -294,12 +301,12 @@ class March:
 
     def _balance(self) -> list[float]:
         elements, nodes = self._sums.sum(0), self._node_sums.sum(0)
-        kinetic = nodes[plates.KINETIC] if self.step else self._given
+        kinetic = nodes[KINETIC] if self.step else self._given
         plastic = elements[2] + elements[3] - elements[1]
         return [
-            self.strain, self.step * self.dt, nodes[plates.TOP], nodes[plates.BOTTOM], self._work,
+            self.strain, self.step * self.dt, nodes[TOP], nodes[BOTTOM], self._work,
             elements[0], elements[1], plastic, self._contact.stored, self._contact.lost, kinetic,
-            nodes[plates.DAMPED], self._work - nodes[plates.WORK], self._from_mass,
+            nodes[DAMPED], self._work - nodes[WORK], self._from_mass,
         ]  # fmt: skip
 
     def _record(self) -> None:

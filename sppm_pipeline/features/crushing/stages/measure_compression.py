@@ -7,8 +7,7 @@ from typing import ClassVar
 
 from sppm_pipeline import ConfigError, Context, DesignError, Headline, Palette, Size, Stage, Table, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
-from sppm_pipeline.features.crushing.numerics.compression import work_ratio
-from sppm_pipeline.features.crushing.numerics.curve_measures import Measure, Specimen, measures
+from sppm_pipeline.features.crushing.numerics.compression import Measure, Specimen, measures, work_ratio
 
 NUMBERS = (
     "plateau_stress", "plateau_end", "energy_to_strain", "energy_efficiency_to_strain", "energy_to_plateau_end",

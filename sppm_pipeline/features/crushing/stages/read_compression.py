@@ -4,15 +4,98 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline import ConfigError, Context, Headline, InputError, Length, Palette, Size, Stage, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
-from sppm_pipeline.features.crushing.machine_columns import UNITS
-from sppm_pipeline.features.crushing.machine_csv import MAX_BYTES, Readings, read_readings
+from sppm_pipeline.features.crushing.machine_csv import MAX_BYTES, UNITS, Readings, read_readings
+from sppm_pipeline.features.crushing.numerics.compression import Steepest, first_maximum, loading, steepest_window
+
+
+class Blank(NamedTuple):
+    """Deflection (n,) of a machine without a specimen over force (n,); neither ever falls, 0 at the smallest force."""
+
+    force: Array
+    displacement: Array
+
+
+def blank_run(force: ArrayLike, displacement: ArrayLike) -> Blank:
+    """Monotone curve of least squares through a run without a specimen, loading and unloading taken together."""
+    from scipy.optimize import isotonic_regression
+
+    f, d = np.asarray(force, np.float64), np.asarray(displacement, np.float64)
+    known, of = np.unique(f, return_inverse=True)
+    if len(known) < 2:
+        raise ValueError("a run without a specimen needs two or more different forces")
+    count = np.bincount(of)
+    # isotonic: loading and unloading differ, and readings scatter, but no larger force deflects the machine less
+    fitted: Array = isotonic_regression(np.bincount(of, d) / count, weights=count).x
+    return Blank(known, fitted - fitted[0])
+
+
+def without_blank(force: ArrayLike, displacement: ArrayLike, blank: Blank) -> Array:
+    """Displacement of the specimen alone; `ValueError` if its forces exceed those of the run without a specimen."""
+    f = np.asarray(force, np.float64)
+    if f.max() > blank.force[-1]:
+        raise ValueError(
+            f"the run without a specimen ends at {blank.force[-1]:.4g} N, and the test goes to {f.max():.4g} N"
+        )
+    return np.asarray(displacement, np.float64) - np.interp(f, blank.force, blank.displacement)
+
+
+def after_preload(force: ArrayLike, displacement: ArrayLike, preload: float) -> tuple[Array, Array]:
+    """Readings from the first force of `preload` on, where displacement becomes zero; `ValueError` without any."""
+    f, d = np.asarray(force, np.float64), np.asarray(displacement, np.float64)
+    reached = np.flatnonzero(f >= preload)
+    if not len(reached):
+        raise ValueError(f"the force of the test ends at {f.max():.4g} N, before the preload of {preload:g} N")
+    start = int(reached[0])
+    return f[start:], d[start:] - d[start]
+
+
+def without_toe(strain: ArrayLike, stress: ArrayLike, within: float = 0.2) -> tuple[Array, Array, Steepest]:
+    """A curve whose strain is zero where the line through its steepest window has no stress, from there on, and that
+    line before the shift; `ValueError` if the stress does not rise up to the strain `within`.
+
+    The readings before the window, where specimen and plates settle, are replaced by that line (annex of ASTM D695,
+    ASTM D1621, ISO 844). The window is looked for before the first maximum, or up to the strain `within`.
+    """
+    e, s = np.asarray(strain, np.float64), np.asarray(stress, np.float64)
+    curve = loading(e, s)
+    peak = first_maximum(curve, within)
+    line = steepest_window(curve, within if peak is None else min(peak, within))
+    if line is None:
+        raise ValueError(f"the stress does not rise up to a strain of {within:g}")
+    kept = int(np.argmax(e >= max(line.first, line.root)))
+    return np.concatenate([[0.0], e[kept:] - line.root]), np.concatenate([[0.0], s[kept:]]), line
+
+
+def turned(load: ArrayLike, way: ArrayLike) -> tuple[Array, Array, tuple[bool, bool]]:
+    """Load and way with signs such that compression is positive, and which of them were negative."""
+    f, d = np.asarray(load, np.float64), np.asarray(way, np.float64)
+    # the load is positive where it is largest, and the way has grown by then
+    peak = int(np.argmax(np.abs(f)))
+    negative = bool(f[peak] < 0), bool(d[peak] < d[0])
+    return -f if negative[0] else f, -d if negative[1] else d, negative
+
+
+def goes_back(way: ArrayLike, by: float, until: float = np.inf) -> float | None:
+    """Way from which a test goes back by more than `by` before it goes on, up to `until`; None if it does not."""
+    d = np.asarray(way, np.float64)
+    farthest = np.maximum.accumulate(d)
+    last = int(np.argmax(farthest >= min(until, farthest[-1])))
+    back = farthest[: last + 1] - d[: last + 1] > by
+    return float(farthest[int(np.argmax(back))]) if back.any() else None
+
+
+def count_up_to(strain: ArrayLike, limit: float) -> int:
+    """Readings up to the largest strain, or to the first beyond a limit."""
+    e = np.asarray(strain, np.float64)
+    return int(np.argmax(e > limit)) if e.max() > limit else int(np.argmax(e)) + 1
+
 
 BACK = 0.01
 """Share of the height by which the displacement may go back before it counts as unloading."""
@@ -114,7 +197,6 @@ class ReadCompression(Stage):
 
     def _readings(self, path: Path) -> Readings:
         """Readings of a file, compression positive."""
-        from sppm_pipeline.features.crushing.numerics.correction import turned
         from sppm_pipeline.formats import content_of
 
         data = content_of(path, MAX_BYTES)
@@ -146,12 +228,10 @@ class ReadCompression(Stage):
 
     def _corrected(self, read: Readings, area: float, height: float) -> tuple[Array, Array, list[str]]:
         """Strain and stress as they are wanted, and what was done."""
-        from sppm_pipeline.features.crushing.numerics import correction
-
         force = read.load * (area if read.load_kind == "stress" else 1.0)
         way = read.way * (height if read.way_kind == "strain" else 1.0)
         limit = np.inf if self.strain is None else self.strain
-        back = correction.goes_back(way, BACK * height, limit * height) if self.unload == "refuse" else None
+        back = goes_back(way, BACK * height, limit * height) if self.unload == "refuse" else None
         if back is not None:
             raise InputError(
                 f"{self.path.name}: the test goes back at a strain of {back / height:.3g}, and on again",
@@ -163,23 +243,23 @@ class ReadCompression(Stage):
             blank = self._readings(self.compliance)
             if (blank.load_kind, blank.way_kind) != ("force", "displacement"):
                 raise InputError(f"{self.compliance.name}: a run without a specimen has force and displacement")
-            way = correction.without_blank(force, way, correction.blank_run(blank.load, blank.way))
+            way = without_blank(force, way, blank_run(blank.load, blank.way))
             notes.append(f"compliance: that of {self.compliance.name} taken off")
         elif self.compliance is not None:
             way = way - self.compliance * force / 1e3
             notes.append(f"compliance: {self.compliance:g} mm/kN taken off")
         if self.preload is not None:
             before = len(force)
-            force, way = correction.after_preload(force, way, self.preload)
+            force, way = after_preload(force, way, self.preload)
             notes.append(f"preload: {before - len(force)} readings below {self.preload:g} N left out")
         strain, stress = way / height, force / area
         if self.toe:
-            strain, stress, line = correction.without_toe(strain, stress)
+            strain, stress, line = without_toe(strain, stress)
             notes.append(
                 f"toe: strain less {line.root:.4g}, the root of the line through {line.first:.4g} to {line.last:.4g}"
             )
         notes = notes or ["no correction"]
-        count = correction.count_up_to(strain, limit)
+        count = count_up_to(strain, limit)
         if count < 3:
             raise ValueError(f"{count} readings are left up to a strain of {limit:.3g}")
         if count < len(strain):

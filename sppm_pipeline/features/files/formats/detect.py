@@ -8,10 +8,10 @@ from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.files.formats import glb, obj, off, three_mf
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.formats import ply, stl
 from sppm_pipeline.services.formats.input_file import third_party_reader
 from sppm_pipeline.services.formats.mesh_arrays import (
@@ -112,8 +112,8 @@ def sniff(data: bytes | memoryview | bytearray) -> str | None:
 class MeshFile(NamedTuple):
     """The contents of a mesh file."""
 
-    vertices: NDArray[np.float64]  # (n, 3), in the unit and with the axes of the file
-    faces: NDArray[np.int64]  # (m, 3)
+    vertices: F64  # (n, 3), in the unit and with the axes of the file
+    faces: I64  # (m, 3)
     unit: str | None  # that the file or its format states; None for the formats that have none
     mm: float  # that unit in millimeters; 1 if there is none
     up: str  # the axis that points up by the format's specification, "y" for GLB; else "z", as in printing

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.formats.mesh_arrays import MAX_TRIANGLES, DecodedMesh, merge_equal, require_sound
 from sppm_pipeline.services.mesh.measures import edge_counts
 
@@ -144,8 +145,8 @@ def read_meshes(document: Entry, binary: memoryview, meshes: Sequence[Entry], na
     tables = _Tables(document, binary)
     made = []
     for mesh in meshes:
-        points: list[NDArray[np.float64]] = [np.empty((0, 3))]
-        faces: list[NDArray[np.int64]] = [np.empty((0, 3), np.int64)]
+        points: list[F64] = [np.empty((0, 3))]
+        faces: list[I64] = [np.empty((0, 3), np.int64)]
         for surface in tables.surfaces(mesh):
             vertices, triangles = require_sound(name, mesh.where, *surface)
             faces.append(triangles + sum(map(len, points)))

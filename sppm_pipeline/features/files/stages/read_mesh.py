@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Length, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.nouns.size import Geometry
+from sppm_pipeline.services.arrays import F64, I32
 from sppm_pipeline.services.formats.input_file import content_of, require_file
 
 MAX_FILE_BYTES = 2 * 2**30
@@ -205,13 +205,11 @@ def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
     return float(found[1]) if found else length / TYPICAL_BYTES[extension], None
 
 
-def _sides(extent: NDArray[np.float64]) -> str:
+def _sides(extent: F64) -> str:
     return " x ".join(f"{size:.4g}" for size in extent)
 
 
-def _box(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _box(vertices: F64, faces: I32, name: str) -> tuple[F64, F64]:
     """Low and high corner of the triangles; InputError if the part is flat, or of a size that no part has."""
     from sppm_pipeline.services.mesh.measures import bounds
 

@@ -271,12 +271,9 @@ def _row(starts: Any, columns: Any, values: Any, i: int, x: NDArray[np.float32])
 
 @jit
 def leave(
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float32],
-    x: NDArray[np.float32],
+    starts: NDArray[np.int32], columns: NDArray[np.int32], values: NDArray[np.float32], x: NDArray[np.float32],
     r: NDArray[np.float32],
-) -> None:
+) -> None:  # fmt: skip
     """Take a matrix times a vector from another one."""
     for i in range(len(r)):
         r[i] -= _row(starts, columns, values, i, x)

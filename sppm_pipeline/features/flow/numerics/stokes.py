@@ -55,34 +55,18 @@ _0, _1 = np.uint64(0), np.uint64(1)
 
 
 class Flow(NamedTuple):
-    """Flow through a cell, along x, y, z.
+    """Flow through a cell, along x, y, z."""
 
-    Attributes
-    ----------
-    permeability : (3, 3) float64
-        Symmetric; the unit of the edges squared.
-    thermal_permeability : float
-        Mean of the torsion field over the cell, the same unit.
-    viscous_tortuosity : 3 floats
-        ``phi <u.u> / <u>^2`` of each flow, means over the cell and phi the porosity; infinite without flow.
-    thermal_tortuosity : float
-        ``phi <psi^2> / <psi>^2``; infinite without pores.
-    hydraulic_tortuosity : 3 floats
-        ``<|u|> / <u_i>``: mean length of the paths of the fluid over that of the cell; infinite without flow.
-    slices : 3 arrays float32
-        Speed in the middle plane of the flow along each axis and the next one, (next axis, axis), over the mean
-        velocity; NaN in the solid.
-    solved : tuple of 3 Solved
-        Their energy is the permeability along the axis.
-    """
-
-    permeability: NDArray[np.float64]
-    thermal_permeability: float
+    permeability: NDArray[np.float64]  # (3, 3), symmetric; the unit of the edges squared
+    thermal_permeability: float  # mean of the torsion field over the cell, the same unit
+    # ``phi <u.u> / <u>^2`` of each flow, means over the cell and phi the porosity; infinite without flow
     viscous_tortuosity: tuple[float, ...]
-    thermal_tortuosity: float
+    thermal_tortuosity: float  # ``phi <psi^2> / <psi>^2``; infinite without pores
+    # ``<|u|> / <u_i>``: mean length of the paths of the fluid over that of the cell; infinite without flow
     hydraulic_tortuosity: tuple[float, ...]
+    # speed in the middle plane along each axis (columns) and the next one (rows), over the mean velocity; NaN in solid
     slices: tuple[NDArray[np.float32], ...]
-    solved: tuple[Solved, ...]
+    solved: tuple[Solved, ...]  # their energy is the permeability along the axis
     precision: str
 
 

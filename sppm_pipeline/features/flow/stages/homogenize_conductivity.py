@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
-from sppm_pipeline.features.flow.conductivity import ConductivityReport
+from sppm_pipeline.features.flow.permeability import ConductivityReport
 from sppm_pipeline.nouns import VoxelCell
 from sppm_pipeline.numerics import grids_below, per_phase, refined
 

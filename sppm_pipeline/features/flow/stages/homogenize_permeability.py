@@ -9,7 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import Context, DesignError, Homogenizer, Length, ScalarField, Voxels, option, options
-from sppm_pipeline.features.flow.numerics.faces import Faces, Percolation
+from sppm_pipeline.features.flow.numerics.faces import (
+    Faces,
+    Percolation,
+    faces_of_field,
+    faces_of_fractions,
+    faces_of_voxels,
+    percolating,
+)
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.numerics import cell_centers, grids_below, refined
 
@@ -47,8 +54,6 @@ class FlowHomogenizer(Homogenizer):
 
     def faces_of(self, context: Context, source: ScalarField | Voxels) -> tuple[Faces, float]:
         """Faces of voxels that the fluid passes, and how many units of their edges make a cell edge."""
-        from sppm_pipeline.features.flow.numerics.faces import faces_of_field, faces_of_fractions, faces_of_voxels
-
         shape, edges = self.grid_of(context, source)
         if isinstance(source, Voxels):
             if source.fractions and self.fractions == "auto":
@@ -65,7 +70,6 @@ class FlowHomogenizer(Homogenizer):
 
     def flow_of(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
         """The flow along each axis; `DesignError` if no walls are across one, or they are too thin to be seen."""
-        from sppm_pipeline.features.flow.numerics.faces import percolating
         from sppm_pipeline.features.flow.numerics.stokes import stokes_flow
 
         faces, edge = self.faces_of(context, source)

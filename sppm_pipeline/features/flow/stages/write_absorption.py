@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import Context, Stage, options
-from sppm_pipeline.features.flow.acoustics import AcousticReport
+from sppm_pipeline.features.flow.acoustics import AcousticReport, air
 
 CURVE = np.geomspace(50.0, 6400.0, 281)
 """Frequencies of the curve, Hz: 40 an octave."""
@@ -39,7 +39,6 @@ class WriteAbsorption(Stage):
 
     def run(self, context: Context, report: AcousticReport) -> None:
         """Compute the curve, draw and write."""
-        from sppm_pipeline.features.flow.numerics.acoustics import air
         from sppm_pipeline.pictures import Series, chart
 
         curve, impedance = report.absorption(CURVE)

@@ -1,11 +1,17 @@
-"""``write.network``: pores and throats for programs of pore networks."""
+"""``write.network``: pores and throats for programs of pore networks.
+
+The pore network of a periodic cell: tunnels cut at its faces, measured in its field, and their permeability.
+
+A throat is taken as a tube of slowly changing circular section, by Hagen and Poiseuille: its resistance is that of
+thin slices in a row, ``8 viscosity / pi * integral ds / r^4``, with r the distance from its axis to the nearest wall.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +32,187 @@ from sppm_pipeline.features.flow.permeability import DARCY
 from sppm_pipeline.formats import extension_of
 from sppm_pipeline.numerics import cell_centers
 
-if TYPE_CHECKING:
-    from sppm_pipeline.features.flow.numerics.pore_network import CutNetwork, Measured
+SLICES_OF_A_VOXEL = 2
+"""Slices of a throat for each voxel along it: a heuristic, not sensitive, as distances to a wall change little within
+half a voxel."""
+
+ROUNDING = 1e-9
+"""Share of a throat within which two planes are crossed at once, in an edge of the cell, but for rounding."""
+
+MIN_LENGTH = 0.01
+"""Throats between pores that overlap keep this fraction of their length, as programs divide by it: a heuristic, which
+sets the resistance of no throat, as that follows from the radii along the whole axis."""
+
+
+class CutNetwork(NamedTuple):
+    """Tunnels of a periodic cell as throats that lie within it; those that leave the cell are cut at its faces.
+
+    `coords` (n, 3) are the pores in cell sizes, then images of these on opposite faces, and ends of throats that were
+    cut; `image_of` (n,) is the index of the first of all pores that are one in the periodic cell. Throats have their
+    ends in `conns` (t, 2), the lower index first, `vectors` (t, 3) from the first end to the second, and the `tunnel`
+    (t,) of which each is the whole or a part.
+    """
+
+    coords: NDArray[np.float64]
+    image_of: NDArray[np.int64]
+    conns: NDArray[np.int64]
+    tunnel: NDArray[np.int64]
+    vectors: NDArray[np.float64]
+
+    def chosen(self, throats: NDArray[np.bool_]) -> CutNetwork:
+        """All pores, and some of the throats."""
+        conns, tunnel, vectors = self.conns[throats], self.tunnel[throats], self.vectors[throats]
+        return self._replace(conns=conns, tunnel=tunnel, vectors=vectors)
+
+
+def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift: NDArray[np.integer]) -> CutNetwork:
+    """Throats within the unit cell, of tunnels from ``centers[i]`` to ``centers[j] + shift``: `centers` (n, 3) in the
+    unit cube, `edges` (m, 2) and `shift` (m, 3) of integers.
+    """
+    coords = [np.asarray(center) for center in centers]
+    image_of = list(range(len(centers)))
+    images: dict[tuple[int, ...], int] = {}
+    conns: list[tuple[int, int]] = []
+    tunnel: list[int] = []
+    vectors: list[NDArray[np.float64]] = []
+    count = len(centers)
+
+    def node(own: int, place: NDArray[np.float64], offset: NDArray[np.float64]) -> int:
+        """The node at `place` of the pore or cut `own`, moved by whole cells."""
+        if own < len(centers) and not offset.any():
+            return own
+        key = (own, *offset.astype(int).tolist())
+        if key not in images:
+            images[key] = len(coords)
+            coords.append(np.clip(place, 0.0, 1.0))
+            image_of.append(own)
+        return images[key]
+
+    for number, ((i, j), moved) in enumerate(zip(edges.tolist(), shift.astype(np.float64), strict=True)):
+        start, end = centers[i], centers[j] + moved
+        step = end - start
+        # parameters along the tunnel at which it crosses a face of any image of the cell
+        cuts = {
+            (plane - start[axis]) / step[axis]
+            for axis in range(3)
+            for plane in range(
+                int(np.floor(min(start[axis], end[axis]))), int(np.ceil(max(start[axis], end[axis]))) + 1
+            )
+            if min(start[axis], end[axis]) < plane < max(start[axis], end[axis])
+        }
+        inner: list[float] = []
+        # planes that are crossed at once, at an edge or corner of the cell, cut once
+        for t in sorted(cuts):
+            if t - (inner[-1] if inner else 0.0) > ROUNDING and t < 1 - ROUNDING:
+                inner.append(t)
+        stops = [0.0, *inner, 1.0]
+        owners = [i, *range(count, count + len(inner)), j]
+        offsets = [np.zeros(3), *[np.zeros(3)] * len(inner), moved]
+        count += len(inner)
+        for k in range(len(stops) - 1):
+            first, last = start + stops[k] * step, start + stops[k + 1] * step
+            # the middle of a part decides in which cell it lies: its ends may lie on faces
+            cell = np.floor(0.5 * (first + last))
+            a = node(owners[k], first - cell, offsets[k] - cell)
+            b = node(owners[k + 1], last - cell, offsets[k + 1] - cell)
+            conns.append((min(a, b), max(a, b)))
+            tunnel.append(number)
+            vectors.append(last - first if a <= b else first - last)
+    _, first_of, group = np.unique(np.array(image_of, np.int64), return_index=True, return_inverse=True)
+    return CutNetwork(
+        np.array(coords, np.float64).reshape(-1, 3), first_of[group],
+        np.array(conns, np.int64).reshape(-1, 2), np.array(tunnel, np.int64),
+        np.array(vectors, np.float64).reshape(-1, 3),
+    )  # fmt: skip
+
+
+def _in_cell(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The images of points in the unit cube, its high faces excluded."""
+    inside = points - np.floor(points)
+    inside[inside >= 1] = 0  # what lies below 0 by less than rounding
+    return inside
+
+
+class Measured(NamedTuple):
+    """Sizes of pores (n,) and throats (t,), in cell sizes."""
+
+    pore_radius: NDArray[np.float64]  # distance from the center to the nearest wall; half a cell edge without any
+    pore_volume: NDArray[np.float64]  # void that is nearer to this pore than to any other; together all void
+    throat_radius: NDArray[np.float64]  # least distance from the axis to a wall; 0 where the axis meets the solid
+    size_factor: NDArray[np.float64]  # pi / 8 / integral ds / r^4: conductance times viscosity, cubed cell sizes
+
+
+def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1) -> Measured:
+    """Measure pores and throats in `values` (n, n, n), indexed z, y, x: a periodic field at the centers of n voxels
+    along an edge of the cell, below 0 in the solid.
+    """
+    from scipy.ndimage import map_coordinates
+    from scipy.spatial import KDTree
+
+    from sppm_pipeline.numerics import closed_across as wrapped
+    from sppm_pipeline.numerics import marching_cubes
+
+    n = values.shape[0]
+    vertices = marching_cubes(wrapped(values), 0.0, (0.5 / n,) * 3, (1 / n,) * 3)[0]
+    # distances to the vertices of the surface stand for those to its triangles, which are smaller than a voxel
+    tree = KDTree(_in_cell(vertices), boxsize=1.0) if len(vertices) else None
+
+    def to_wall(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        inside = _in_cell(points)
+        place = (inside.T * n - 0.5)[::-1]
+        value = map_coordinates(values, place, order=1, mode="grid-wrap")
+        distance = np.full(len(points), 0.5) if tree is None else tree.query(inside, workers=threads)[0]
+        return np.where(value > 0, distance, 0.0)
+
+    length = np.linalg.norm(network.vectors, axis=1)
+    slices = np.maximum(1, np.ceil(SLICES_OF_A_VOXEL * n * length)).astype(np.int64)
+    first = np.cumsum(slices) - slices
+    # the slices of all throats together, for one query of the tree
+    throat = np.repeat(np.arange(len(slices)), slices)
+    along = (np.arange(slices.sum()) - first[throat] + 0.5) / slices[throat]
+    starts = network.coords[network.conns[:, 0]]
+    radius = to_wall(starts[throat] + along[:, None] * network.vectors[throat])
+    with np.errstate(divide="ignore"):
+        resistance = np.bincount(throat, radius**-4.0, len(slices)) * length / slices
+    least = np.minimum.reduceat(radius, first) if len(first) else np.empty(0)
+
+    nearest, volume = KDTree(network.coords), np.zeros(len(network.coords))
+    for layer in range(n):
+        y, x = np.nonzero(values[layer] >= 0)
+        places = (np.stack([x, y, np.full_like(x, layer)], 1) + 0.5) / n
+        volume += np.bincount(nearest.query(places, workers=threads)[1], minlength=len(volume)) / n**3
+    return Measured(to_wall(network.coords), volume, least, np.pi / 8 / resistance)
+
+
+def permeability(network: CutNetwork, size_factor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Permeability of a periodic network of throats, (3, 3), cell sizes squared.
+
+    Of all pressures in the pores those are taken at which no fluid is gained or lost in any of them, and the power
+    that is dissipated under unit gradients gives the tensor, symmetric and never negative. `size_factor` (t,) is the
+    flux times viscosity over the difference in pressure; 0 for closed throats.
+    """
+    from scipy.sparse import coo_array, csr_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import spsolve
+
+    owner = np.unique(network.image_of, return_inverse=True)[1][network.conns]
+    throats, pores = len(owner), int(owner.max(initial=-1)) + 1
+    if not throats:
+        return np.zeros((3, 3))
+    row = np.arange(throats).repeat(2)
+    rise = csr_array(coo_array((np.tile([-1.0, 1.0], throats), (row, owner.reshape(-1))), shape=(throats, pores)))
+    weighted = csr_array(rise * size_factor[:, None])
+    laplacian = csr_array(rise.T @ weighted)
+    _, piece = connected_components(abs(laplacian), directed=False)
+    free = np.ones(pores, bool)
+    free[np.unique(piece, return_index=True)[1]] = False  # one pressure of each piece is given
+    pressure = np.zeros((pores, 3))
+    if free.any():
+        load = -(weighted.T @ network.vectors)[free]
+        pressure[free] = spsolve(laplacian[free][:, free].tocsc(), load).reshape(-1, 3)
+    # differences of pressure along throats under unit gradients; with conductances, the dissipated power is quadratic
+    drop = network.vectors + rise @ pressure
+    return np.asarray(drop.T @ (size_factor[:, None] * drop))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +245,6 @@ class WriteNetwork(Stage):
 
     def run(self, context: Context, source: Microstructure) -> None:
         """Measure pores and throats, write the file and report the permeability."""
-        from sppm_pipeline.features.flow.numerics.pore_network import cut_at_faces, measured, permeability
-
         edge_mm = source.edge_mm if self.cell is None else self.cell.mm()
         if edge_mm is None:
             raise ConfigError(
@@ -104,8 +287,6 @@ class WriteNetwork(Stage):
 
 def _columns(network: CutNetwork, sizes: Measured, meters: float) -> dict[str, NDArray[np.generic]]:
     """The arrays of the file, by the names that OpenPNM gives them."""
-    from sppm_pipeline.features.flow.numerics.pore_network import MIN_LENGTH
-
     length = np.linalg.norm(network.vectors, axis=1)
     # OpenPNM takes the length of a throat without its pores
     outside = np.maximum(length - sizes.pore_radius[network.conns].sum(1), MIN_LENGTH * length)

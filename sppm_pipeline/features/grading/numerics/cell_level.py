@@ -12,9 +12,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.numerics.newton import LevelFit, newton_steps
+from sppm_pipeline.features.grading.numerics.local_level import LevelFit, newton_steps
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 if TYPE_CHECKING:
@@ -32,10 +32,10 @@ class ControlLattice(NamedTuple):
 
     shape: tuple[int, int, int]
     edge: float
-    origin: NDArray[np.float64]
+    origin: F64
 
 
-def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDArray[np.float64]) -> csr_array:
+def blending(lattice: ControlLattice, centers: F64, frames: F64) -> csr_array:
     """Weights of the cells at each control point, (points, cells); rows add up to one.
 
     `frames` (m, 3, 3) are the derivatives at the centers, in mm: column a is the cell's axis a. Points out of reach of
@@ -69,9 +69,8 @@ def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDAr
 
 @jit
 def _weights(
-    low: NDArray[np.int64], high: NDArray[np.int64], shape: NDArray[np.int64], edge: float,
-    origin: NDArray[np.float64], centers: NDArray[np.float64], inverse: NDArray[np.float64], point: NDArray[np.int64],
-    cell: NDArray[np.int64], weight: NDArray[np.float64],
+    low: I64, high: I64, shape: I64, edge: float, origin: F64, centers: F64, inverse: F64, point: I64, cell: I64,
+    weight: F64,
 ) -> int:  # fmt: skip
     count = 0
     for c in range(len(centers)):
@@ -95,9 +94,7 @@ def _weights(
 
 
 def means_over_cells(
-    lattice: ControlLattice,
-    blend: csr_array,
-    inner: Callable[[int, int], tuple[NDArray[np.float64], NDArray[np.float64]]],
+    lattice: ControlLattice, blend: csr_array, inner: Callable[[int, int], tuple[F64, F64]]
 ) -> csr_array:
     """Matrix from the cells' values to the means of the spline over each cell, (m, m); `inner` gives for the cells
     from a first one to before a last one points (cells, k, 3) mm and the volume that each stands for, (cells, k).
@@ -125,11 +122,11 @@ def means_over_cells(
 
 
 def fit_cells(
-    measure: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]],
+    measure: Callable[[F64], tuple[F64, F64]],
     means: csr_array,
-    known: NDArray[np.bool_],
-    targets: NDArray[np.float64],
-    start: NDArray[np.float64],
+    known: Bools,
+    targets: F64,
+    start: F64,
     bounds: tuple[float, float],
     tolerance: float,
     steps: int,
@@ -145,7 +142,7 @@ def fit_cells(
     one = eye_array(len(known))
     smooth = one - around
 
-    def move(wanted: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def move(wanted: F64, held: Bools) -> F64:
         # rows: a target change of the mean, the mean of the neighbors, or no change
         parts = [(means, known & ~held), (smooth, ~known & ~held), (one, held)]
         rows = sum(matrix.multiply(own[:, None].astype(float)) for matrix, own in parts)
@@ -159,18 +156,16 @@ class CellSamples(NamedTuple):
     to compare with the level, and the volume that each stands for.
     """
 
-    place: NDArray[np.float32]
-    cell: NDArray[np.int32]
-    value: NDArray[np.float32]
-    volume: NDArray[np.float32]
+    place: F32
+    cell: I32
+    value: F32
+    volume: F32
 
 
 BYTES_OF_A_SAMPLE = 24
 
 
-def porosities_and_slopes(
-    samples: list[CellSamples], control: NDArray[np.float64], cells: int, half_width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def porosities_and_slopes(samples: list[CellSamples], control: F64, cells: int, half_width: float) -> tuple[F64, F64]:
     """Share of each cell at or above the level, and its change with it by samples within `half_width` of the level."""
     totals = np.zeros((3, cells))
     padded = np.pad(control, 1, mode="edge")
@@ -181,10 +176,7 @@ def porosities_and_slopes(
 
 
 @jit
-def _compare(
-    place: NDArray[np.float32], cell: NDArray[np.int32], value: NDArray[np.float32], volume: NDArray[np.float32],
-    padded: NDArray[np.float64], half_width: float, totals: NDArray[np.float64],
-) -> None:  # fmt: skip
+def _compare(place: F32, cell: I32, value: F32, volume: F32, padded: F64, half_width: float, totals: F64) -> None:
     """Sums by cell of the volume, of that at or above the level, and of that near it."""
     own = np.empty(3, np.int64)
     w = np.empty((3, 3))

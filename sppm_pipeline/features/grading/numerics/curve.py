@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.monotone_cubic import monotone_cubic
 
 GROUPS = 12
@@ -18,15 +18,15 @@ as many follow the scatter of single cells, half as many smooth the curve."""
 class PorosityCurve(NamedTuple):
     """Means of trial cells, interpolated monotonically (PCHIP: Fritsch and Carlson 1980)."""
 
-    counts: NDArray[np.float64]  # (m,), numbers of pores of a cell, ascending
-    porosities: NDArray[np.float64]  # (m,), their mean porosities, ascending
+    counts: F64  # (m,), numbers of pores of a cell, ascending
+    porosities: F64  # (m,), their mean porosities, ascending
     deviation: float  # standard deviation of single cells of one number of pores; 0 if there was one of each
 
-    def pores(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pores(self, porosity: F64) -> F64:
         """Numbers of pores, not whole, at porosities within the range of the curve."""
         return monotone_cubic(self.porosities, self.counts).at(np.asarray(porosity, np.float64))
 
-    def slope(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    def slope(self, counts: F64) -> F64:
         """Porosity that one more pore adds; beyond the ends of the curve as at them."""
         within = np.clip(counts, self.counts[0], self.counts[-1])
         found = monotone_cubic(self.counts, self.porosities).slope_at(within)
@@ -57,11 +57,11 @@ def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
 class StiffnessCurve(NamedTuple):
     """Young's modulus over porosity: its logarithm goes through means of cells by monotone cubics (PCHIP)."""
 
-    porosities: NDArray[np.float64]  # (m,), ascending
-    moduli: NDArray[np.float64]  # (m,), descending
+    porosities: F64  # (m,), ascending
+    moduli: F64  # (m,), descending
     deviation: float  # relative standard deviation of single cells around the curve; 0 if it goes through all of them
 
-    def porosity(self, modulus: NDArray[np.float64]) -> NDArray[np.float64]:
+    def porosity(self, modulus: F64) -> F64:
         """Porosities of moduli within the range of the curve; not a number beyond it."""
         log = np.log(self.moduli)
         # rounding may not put the ends of the range outside of it
@@ -71,7 +71,7 @@ class StiffnessCurve(NamedTuple):
         found = monotone_cubic(log[::-1], self.porosities[::-1]).at(np.clip(wanted, log[-1], log[0]))
         return np.where(inside, found, np.nan)
 
-    def modulus(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
+    def modulus(self, porosity: F64) -> F64:
         """Moduli at porosities, the inverse of `porosity`; not a number beyond the range of the curve."""
         log = np.log(self.moduli)
         curve = monotone_cubic(log[::-1], self.porosities[::-1]).at
@@ -85,7 +85,7 @@ class StiffnessCurve(NamedTuple):
         return np.where(inside, np.exp((low + high) / 2), np.nan)
 
 
-def stiffness_curve(porosities: NDArray[np.float64], moduli: NDArray[np.float64]) -> StiffnessCurve:
+def stiffness_curve(porosities: F64, moduli: F64) -> StiffnessCurve:
     """The curve through cells, which may scatter: means of groups, made monotone by pooling neighbors that are not.
 
     Up to twelve cells stand for themselves, more are taken in twelve groups of nearly one porosity (pool-adjacent-

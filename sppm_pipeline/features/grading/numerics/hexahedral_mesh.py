@@ -1,14 +1,100 @@
-"""Meshes of hexahedra of any shape: checks, boundary, refinement."""
+"""Meshes of hexahedra of any shape: checks, boundary, refinement.
+
+Proof by Bernstein coefficients, not samples, that a trilinear hexahedron is nowhere inside out.
+
+The determinant of the derivative is a polynomial of degree two along each axis. It lies between the least and the
+largest of its 27 Bernstein coefficients, of which those at the corners are its values there (Johnen, Remacle and
+Geuzaine 2013). Where the least one is not above a bound and no corner is below it, the hexahedron is halved, upon
+which coefficients come nearer to the values, by a factor of four each time that all axes are.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.numerics.hexahedral_determinant import above_throughout
 from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
+from sppm_pipeline.services.arrays import F64, I32, I64, Bools
+
+_BETWEEN = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])  # from the values at two ends to those at 0, 1/2 and 1
+_COEFFICIENTS = np.array([[1.0, 0.0, 0.0], [-0.5, 2.0, -0.5], [0.0, 0.0, 1.0]])  # from these to those of Bernstein
+_HALVES = (
+    np.array([[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.25, 0.5, 0.25]]),
+    np.array([[0.25, 0.5, 0.25], [0.0, 0.5, 0.5], [0.0, 0.0, 1.0]]),
+)
+
+_LEVELS = 30
+"""Halvings at most, ten along each axis or more along one. What is undecided then is within some millionths of its
+range of the bound, and counts as below.
+"""
+
+_MAX_PARTS = 512
+"""Parts of a hexahedron that may be undecided at the same time; more are where it is flat along a face."""
+
+_AT_ONCE, _HALVED_AT_ONCE = 4096, 64
+
+
+def determinant_coefficients(corners: F64) -> F64:
+    """Bernstein coefficients of the determinant of hexahedra (m, 2, 2, 2, 3), (m, 3, 3, 3) by x, y, z."""
+    w = _BETWEEN
+    along_x = np.einsum("jb,kc,mbcv->mjkv", w, w, corners[:, 1] - corners[:, 0])[:, None]
+    along_y = np.einsum("ia,kc,macv->mikv", w, w, corners[:, :, 1] - corners[:, :, 0])[:, :, None]
+    along_z = np.einsum("ia,jb,mabv->mijv", w, w, corners[:, :, :, 1] - corners[:, :, :, 0])[:, :, :, None]
+    # 27 values determine a polynomial of degree two along each axis
+    values = (along_x * np.cross(along_y, along_z)).sum(axis=-1)
+    c = _COEFFICIENTS
+    return np.asarray(np.einsum("ia,jb,kc,mabc->mijk", c, c, c, values, optimize=True))
+
+
+def largest_determinants(corners: F64) -> F64:
+    """Upper bounds of the determinant of the derivative in hexahedra (m, 2, 2, 2, 3), (m,)."""
+    parts = [
+        determinant_coefficients(corners[first : first + _AT_ONCE]).max(axis=(1, 2, 3))
+        for first in range(0, len(corners), _AT_ONCE)
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def above_throughout(corners: F64, bounds: F64) -> Bools:
+    """Which hexahedra (m, 2, 2, 2, 3) have a determinant of the derivative above their bound (m,) everywhere; not also
+    where it is so close to the bound that a few hundred parts do not decide.
+    """
+    above = np.ones(len(corners), bool)
+    for first in range(0, len(corners), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        excess = determinant_coefficients(corners[some]) - bounds[some, None, None, None]
+        undecided = np.flatnonzero((excess <= 0).any(axis=(1, 2, 3)))
+        for begin in range(0, len(undecided), _HALVED_AT_ONCE):
+            chosen = undecided[begin : begin + _HALVED_AT_ONCE]
+            above[first + chosen] = _positive(excess[chosen])
+    return above
+
+
+def _positive(coefficients: F64) -> Bools:
+    """Test whether polynomials (m, 3, 3, 3) are positive throughout, by halving."""
+    positive, owner = np.ones(len(coefficients), bool), np.arange(len(coefficients))
+    for level in range(_LEVELS + 1):
+        positive[owner[(coefficients[:, ::2, ::2, ::2] <= 0).any(axis=(1, 2, 3))]] = False
+        unsure = (coefficients <= 0).any(axis=(1, 2, 3)) & positive[owner]
+        positive &= np.bincount(owner[unsure], minlength=len(positive)) <= _MAX_PARTS
+        unsure &= positive[owner]
+        coefficients, owner = coefficients[unsure], owner[unsure]
+        if level == _LEVELS or not len(owner):
+            break
+        # coefficients differ from values by the second differences: halved is the axis of the largest one
+        bent = [np.abs(np.diff(coefficients, 2, axis)).max(axis=(1, 2, 3)) for axis in (1, 2, 3)]
+        longest = np.argmax(bent, axis=0)
+        halves, owners = [], []
+        for axis in range(3):
+            own = np.flatnonzero(longest == axis)
+            along = np.moveaxis(coefficients[own], 1 + axis, 3)
+            halves += [np.moveaxis(along @ half.T, 3, 1 + axis) for half in _HALVES]
+            owners += [owner[own]] * 2
+        coefficients, owner = np.concatenate(halves), np.concatenate(owners)
+    positive[owner] = False
+    return positive
+
 
 PLACES = np.array([0, 4, 3, 7, 1, 5, 2, 6])
 """Node in VTK's order, which meshio gives, at each place of a hexahedron: x, y, z low or high, z fastest."""
@@ -37,15 +123,15 @@ _ON_FACE = 1e-3
 class HexahedralMesh(NamedTuple):
     """Hexahedra that meet node by node."""
 
-    corners: NDArray[np.float64]  # (m, 2, 2, 2, 3), nodes by x, y, z of each hexahedron, which are right-handed
-    hexahedra: NDArray[np.int64]  # (m, 8), their nodes in VTK's order; nodes at the same place are one
-    listed: NDArray[np.int64]  # (m, 8), the same nodes as the file numbers them, which may list one several times
-    boundary: NDArray[np.int64]  # (f, 4), nodes of the faces at which the mesh ends, normals outwards
-    nodes: NDArray[np.float64]  # (n, 3)
+    corners: F64  # (m, 2, 2, 2, 3), nodes by x, y, z of each hexahedron, which are right-handed
+    hexahedra: I64  # (m, 8), their nodes in VTK's order; nodes at the same place are one
+    listed: I64  # (m, 8), the same nodes as the file numbers them, which may list one several times
+    boundary: I64  # (f, 4), nodes of the faces at which the mesh ends, normals outwards
+    nodes: F64  # (n, 3)
     turned: str  # order of the nodes in the file, if it is not the expected one
 
 
-def checked_mesh(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> HexahedralMesh:
+def checked_mesh(points: F64, hexahedra: I64) -> HexahedralMesh:
     """A mesh of `points` (n, 3) and hexahedra (m, 8), if they fill a body face to face.
 
     Nodes are in VTK's order, or one of some others that programs use, all in the same. `ValueError` if a hexahedron is
@@ -63,12 +149,12 @@ def checked_mesh(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> H
     return HexahedralMesh(corners, hexahedra, listed[:, order], boundary, nodes, turned)
 
 
-def corners_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> NDArray[np.float64]:
+def corners_of(nodes: F64, hexahedra: I64) -> F64:
     """Nodes by x, y, z of hexahedra (m, 8) in VTK's order, (m, 2, 2, 2, 3)."""
     return nodes[hexahedra[:, PLACES]].reshape(-1, 2, 2, 2, 3)
 
 
-def _joined(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _joined(points: F64, hexahedra: I64) -> tuple[I64, F64]:
     """The mesh with nodes at the same place made one, and without others than those of hexahedra."""
     from scipy.spatial import cKDTree
 
@@ -92,14 +178,14 @@ def _joined(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[
     return number[hexahedra], nodes[first]
 
 
-def corner_determinants(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def corner_determinants(corners: F64) -> F64:
     """Determinants of the derivative at the eight corners of hexahedra (m, 2, 2, 2, 3), (m, 8)."""
     m = len(corners)
     cell, places = np.repeat(np.arange(m), 8), np.tile(np.array(list(np.ndindex(2, 2, 2)), np.float64), (m, 1))
     return np.asarray(np.linalg.det(points_in(corners, cell, places)[1]).reshape(m, 8))
 
 
-def _order_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[str, list[int]]:
+def _order_of(nodes: F64, hexahedra: I64) -> tuple[str, list[int]]:
     """The order of nodes in which all hexahedra are right-handed; an error that names one if there is none."""
     worst = 0
     for turned, order in _ORDERS.items():
@@ -115,13 +201,13 @@ def _order_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple
     )
 
 
-def _flat(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flat(corners: F64) -> F64:
     """The determinant at or below which hexahedra (m, 2, 2, 2, 3) are flat, (m,)."""
     length = (corners.max(axis=(1, 2, 3)) - corners.min(axis=(1, 2, 3))).max(axis=1)
     return np.asarray(_FLAT * length**3)
 
 
-def _check_inside(corners: NDArray[np.float64], nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> None:
+def _check_inside(corners: F64, nodes: F64, hexahedra: I64) -> None:
     """No hexahedron is turned inside out within, which may be though it is not at its corners."""
     wrong = ~above_throughout(corners, _flat(corners))
     if wrong.any():
@@ -132,7 +218,7 @@ def _check_inside(corners: NDArray[np.float64], nodes: NDArray[np.float64], hexa
         )
 
 
-def _check_listed_once(hexahedra: NDArray[np.int64]) -> None:
+def _check_listed_once(hexahedra: I64) -> None:
     own = np.sort(hexahedra, axis=1)
     _, first, which = np.unique(own, axis=0, return_index=True, return_inverse=True)
     if len(first) < len(own):
@@ -140,7 +226,7 @@ def _check_listed_once(hexahedra: NDArray[np.int64]) -> None:
         raise ValueError(f"hexahedra {int(first[which.reshape(-1)[second]])} and {second} have the same nodes")
 
 
-def _boundary(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
+def _boundary(hexahedra: I64) -> I64:
     """Faces with a hexahedron on one side only."""
     faces = hexahedra[:, _FACES].reshape(-1, 4)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
@@ -150,7 +236,7 @@ def _boundary(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(faces[np.sort(first[count == 1])])
 
 
-def _check_hanging(nodes: NDArray[np.float64], boundary: NDArray[np.int64]) -> None:
+def _check_hanging(nodes: F64, boundary: I64) -> None:
     """No node of the boundary lies on a face of it without being a corner."""
     from scipy.spatial import cKDTree
 
@@ -185,19 +271,12 @@ def _check_hanging(nodes: NDArray[np.float64], boundary: NDArray[np.int64]) -> N
         )
 
 
-def _bilinear(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-    d: NDArray[np.float64],
-    u: NDArray[np.float64],
-    v: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _bilinear(a: F64, b: F64, c: F64, d: F64, u: F64, v: F64) -> F64:
     u, v = u[..., None], v[..., None]
     return np.asarray((1 - u) * (1 - v) * a + u * (1 - v) * b + u * v * c + (1 - u) * v * d)
 
 
-def split(corners: NDArray[np.float64], parts: tuple[int, int, int]) -> NDArray[np.float64]:
+def split(corners: F64, parts: tuple[int, int, int]) -> F64:
     """Hexahedra cut along each axis, exactly: (m, 2, 2, 2, 3) to (m parts, 2, 2, 2, 3), parts in a row, z fastest."""
     m = len(corners)
     axes = [np.arange(n + 1) / n for n in parts]
@@ -212,7 +291,7 @@ def split(corners: NDArray[np.float64], parts: tuple[int, int, int]) -> NDArray[
     return made.reshape(-1, 2, 2, 2, 3)
 
 
-def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[F64, I32]:
     """Triangles of the boundary, vertices (n, 3) and faces (2 parts^2 f, 3), normals outwards; each face is cut into
     `parts` x `parts` squares so that its twist is followed.
     """
@@ -239,13 +318,13 @@ def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[NDArray[np.flo
 class OuterHexahedra(NamedTuple):
     """Hexahedra that continue others beyond the boundary of a mesh."""
 
-    corners: NDArray[np.float64]  # (f, 2, 2, 2, 3)
-    cell: NDArray[np.int32]  # (f,), the hexahedron that each continues
-    low: NDArray[np.float64]  # (f, 3), place of its low corner in that hexahedron
-    size: NDArray[np.float64]  # (f, 3), its size there
+    corners: F64  # (f, 2, 2, 2, 3)
+    cell: I32  # (f,), the hexahedron that each continues
+    low: F64  # (f, 3), place of its low corner in that hexahedron
+    size: F64  # (f, 3), its size there
 
 
-def outer_hexahedra(corners: NDArray[np.float64], far: float) -> OuterHexahedra:
+def outer_hexahedra(corners: F64, far: float) -> OuterHexahedra:
     """Continue hexahedra (m, 2, 2, 2, 3) that meet node by node, by a share `far` of their length."""
     size = np.abs(corners).max()
     # places of nodes are equal to the last bit, or up to rounding where hexahedra were cut into parts

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree, box_tree
 
@@ -23,9 +24,7 @@ _BOXES = 48  # halves that wait: boxes of which so many are nested are smaller t
 _OUT = 2.0  # a place so far from the middle is no longer on the way to one inside
 
 
-def points_in(
-    corners: NDArray[np.float64], cell: NDArray[np.integer], places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def points_in(corners: F64, cell: NDArray[np.integer], places: F64) -> tuple[F64, F64]:
     """Points (n, 3) at places in hexahedra `corners` (m, 2, 2, 2, 3), nodes by x, y, z, and the derivative of the
     mapping (n, 3, 3), whose column a is that along axis a.
 
@@ -43,16 +42,14 @@ def points_in(
     return points, derivative
 
 
-def hexahedron_tree(corners: NDArray[np.float64]) -> BoxTree:
+def hexahedron_tree(corners: F64) -> BoxTree:
     """The tree of the boxes of hexahedra (m, 2, 2, 2, 3)."""
     nodes = corners.reshape(-1, 8, 3)
     low, high = nodes.min(axis=1), nodes.max(axis=1)
     return box_tree(np.stack([low, high, high], axis=1))
 
 
-def places_in(
-    tree: BoxTree, corners: NDArray[np.float64], points: NDArray[np.float64], apart: int | None = None
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def places_in(tree: BoxTree, corners: F64, points: F64, apart: int | None = None) -> tuple[I32, F64]:
     """The hexahedron (n,) around each point (n, 3), -1 outside of all, and the place in it (n, 3), 0 to 1 along each
     axis.
 
@@ -67,10 +64,7 @@ def places_in(
 
 
 @jit
-def _places_in(
-    order: NDArray[np.int64], boxes: NDArray[np.float64], starts: NDArray[np.int64], nodes: NDArray[np.float64],
-    points: NDArray[np.float64], apart: int,
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:  # fmt: skip
+def _places_in(order: I64, boxes: F64, starts: I64, nodes: F64, points: F64, apart: int) -> tuple[I32, F64]:
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
     found = np.full(points.shape[0], -1, np.int32)
@@ -123,7 +117,7 @@ def _places_in(
 
 
 @jit
-def _in_box(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
+def _in_box(nodes: F64, p: F64) -> bool:
     """Test whether a point lies in the box of eight nodes, to rounding."""
     for a in range(3):
         low, high = nodes[0, a], nodes[0, a]
@@ -136,7 +130,7 @@ def _in_box(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
 
 
 @jit
-def _newton(nodes: NDArray[np.float64], p: NDArray[np.float64], place: NDArray[np.float64], inside: float) -> bool:
+def _newton(nodes: F64, p: F64, place: F64, inside: float) -> bool:
     """Find the place of a point in a hexahedron; whether it lies at least `inside` from all faces, in its edges."""
     x, y, z, longest = 0.5, 0.5, 0.5, 0.0
     r, d = np.empty(3), np.empty((3, 3))
@@ -179,7 +173,7 @@ def _newton(nodes: NDArray[np.float64], p: NDArray[np.float64], place: NDArray[n
 
 
 @jit
-def _beside(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
+def _beside(nodes: F64, p: F64) -> bool:
     """Test whether a point lies farther out across one of a hexahedron's faces than all of its nodes."""
     for face in range(6):
         # nodes are numbered by bits, and those of a face have one in common
@@ -212,14 +206,14 @@ def _beside(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
 class _Scratch(NamedTuple):
     """Arrays for `_search`, made once."""
 
-    boxes: NDArray[np.float64]
-    away: NDArray[np.float64]
-    derivatives: NDArray[np.float64]
-    points: NDArray[np.float64]
+    boxes: F64
+    away: F64
+    derivatives: F64
+    points: F64
 
 
 @jit
-def _search(nodes: NDArray[np.float64], p: NDArray[np.float64], scratch: _Scratch, place: NDArray[np.float64]) -> bool:
+def _search(nodes: F64, p: F64, scratch: _Scratch, place: F64) -> bool:
     """Find the place of a point in a hexahedron whose determinant is positive in it, by halving; whether there is one.
 
     A box of places maps into the hull of its corners' points, and its derivatives lie in that of those along its edges.
@@ -301,9 +295,7 @@ def _search(nodes: NDArray[np.float64], p: NDArray[np.float64], scratch: _Scratc
 
 
 @jit
-def point_and_volume(
-    nodes: NDArray[np.float64], x: float, y: float, z: float, p: NDArray[np.float64], d: NDArray[np.float64]
-) -> float:
+def point_and_volume(nodes: F64, x: float, y: float, z: float, p: F64, d: F64) -> float:
     """Put the point at a place in a hexahedron (8, 3) into `p`, the derivative into `d`, and return its determinant."""
     for a in range(3):
         x00, x01 = nodes[0, a] + x * (nodes[4, a] - nodes[0, a]), nodes[1, a] + x * (nodes[5, a] - nodes[1, a])
@@ -322,18 +314,14 @@ def point_and_volume(
     )
 
 
-def points_and_volumes(
-    corners: NDArray[np.float64], cell: NDArray[np.integer], places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def points_and_volumes(corners: F64, cell: NDArray[np.integer], places: F64) -> tuple[F64, F64]:
     """As `points_in`, but with the size of the determinant, (n,), in place of the derivative."""
     nodes = np.ascontiguousarray(corners.reshape(-1, 8, 3))
     return _points_and_volumes(nodes, cell.astype(np.int64), np.ascontiguousarray(places))
 
 
 @jit
-def _points_and_volumes(
-    nodes: NDArray[np.float64], cell: NDArray[np.int64], places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _points_and_volumes(nodes: F64, cell: I64, places: F64) -> tuple[F64, F64]:
     points, volumes, d = np.empty((len(cell), 3)), np.empty(len(cell)), np.empty((3, 3))
     for n in range(len(cell)):
         volumes[n] = abs(point_and_volume(nodes[cell[n]], places[n, 0], places[n, 1], places[n, 2], points[n], d))

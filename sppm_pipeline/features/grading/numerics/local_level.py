@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.numerics.newton import LevelFit, newton_steps
 from sppm_pipeline.method.kernels.level_rows import void_at_level
 from sppm_pipeline.method.kernels.level_spline import (
     control_of_means,
@@ -17,7 +17,62 @@ from sppm_pipeline.method.kernels.level_spline import (
     extended,
     weights_in_cell,
 )
+from sppm_pipeline.services.arrays import F64, I16, Bools
 from sppm_pipeline.services.threads import ordered_map
+
+# Heuristics that bound a step where the slope is measured on few samples or vanishes; with half or double the
+# result agrees within the tolerance, as only the path to it differs.
+_MAX_STEP = 0.25  # of the range between the bounds
+_MIN_CHANGE = 0.05  # of the porosity over all of that range
+
+
+class LevelFit(NamedTuple):
+    """A level, and the errors it leaves; arrays of the shape of the cells."""
+
+    values: F64
+    errors: F64  # porosity minus its target; 0 for cells without an equation
+    at_bound: Bools  # cells whose value lies at a bound while their error is above the tolerance
+    steps: int  # number of times that all cells were compared
+
+
+def newton_steps(
+    measure: Callable[[F64], tuple[F64, F64]],
+    move: Callable[[F64, Bools], F64],
+    known: Bools,
+    targets: F64,
+    start: F64,
+    bounds: tuple[float, float],
+    tolerance: float,
+    steps: int,
+) -> LevelFit:
+    """Adjust the values of all cells at once until each has its porosity within the tolerance, in at most so many
+    steps.
+
+    `measure` gives for values the porosity of each cell, and its decrease with the mean of the level over the cell;
+    `move` gives for the target changes of these means, and the cells that are held, changes of the values. `known` are
+    the cells that have an equation.
+    """
+    values = np.clip(start, *bounds)
+    span = bounds[1] - bounds[0]
+    best, least = None, np.inf
+    for step in range(1, steps + 1):
+        void, slope = measure(values)
+        errors = np.where(known, void - targets, 0.0)
+        stuck = (errors > tolerance) & (values >= bounds[1] - 1e-9)
+        stuck |= (errors < -tolerance) & (values <= bounds[0] + 1e-9)
+        worst = float(np.abs(errors[~stuck]).max(initial=0.0))
+        # steps may overshoot: the best values so far are the result
+        if best is None or worst < least:
+            best, least = LevelFit(values, errors, stuck, step), worst
+        if worst <= tolerance:
+            break
+        wanted = np.clip(errors / np.maximum(slope, _MIN_CHANGE / span), -_MAX_STEP * span, _MAX_STEP * span)
+        # the residual of a cell at its bound must not move its neighbors
+        wanted[stuck] = 0.0
+        values = np.clip(values + move(wanted, stuck), *bounds)
+    assert best is not None
+    return best._replace(steps=step)
+
 
 _STEPS_OF_CODE = 32766
 
@@ -26,7 +81,7 @@ RUN = 4
 """
 
 Cell = tuple[int, int, int]
-Sampled = tuple[NDArray[np.floating], NDArray[np.bool_] | None]
+Sampled = tuple[NDArray[np.floating], Bools | None]
 Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
 """Gives of each cell of a run the values that the level is compared with, (n, n, n) by z, y, x, and which count."""
 
@@ -39,9 +94,9 @@ class CellCodes:
     def __init__(self, sample: Sample, middle: float, half: float, memory: float) -> None:
         self._sample, self._middle, self._scale = sample, middle, _STEPS_OF_CODE / half
         self._left, self._lock = memory, threading.Lock()
-        self._kept: dict[Cell, NDArray[np.int16]] = {}
+        self._kept: dict[Cell, I16] = {}
 
-    def code(self, values: NDArray[np.floating]) -> NDArray[np.int16]:
+    def code(self, values: NDArray[np.floating]) -> I16:
         """Values as codes."""
         scaled = (values - self._middle) * self._scale
         np.rint(np.clip(scaled, -_STEPS_OF_CODE, _STEPS_OF_CODE, out=scaled), out=scaled)
@@ -57,7 +112,7 @@ class CellCodes:
         """Offset of values, factor, and the largest code."""
         return float(self._middle), float(self._scale), float(_STEPS_OF_CODE)
 
-    def of(self, run: Sequence[Cell]) -> list[NDArray[np.int16]]:
+    def of(self, run: Sequence[Cell]) -> list[I16]:
         """Codes of the samples of some cells, those outside of the part left out by the least number there is."""
         if all(cell in self._kept for cell in run):
             return [self._kept[cell] for cell in run]
@@ -76,9 +131,7 @@ class CellCodes:
         return made
 
 
-def void_and_slope(
-    codes: CellCodes, control: NDArray[np.float64], run: Sequence[Cell], width: float
-) -> list[tuple[float, float]]:
+def void_and_slope(codes: CellCodes, control: F64, run: Sequence[Cell], width: float) -> list[tuple[float, float]]:
     """Share of each cell that is at or above the level, and the change of this share with the level.
 
     A sample near the level counts in part, by a ramp from half a width below it to half a width above. The mean over
@@ -100,8 +153,8 @@ def void_and_slope(
 def fit_level(
     codes: CellCodes,
     cells: list[Cell],
-    targets: NDArray[np.float64],
-    start: NDArray[np.float64],
+    targets: F64,
+    start: F64,
     bounds: tuple[float, float],
     width: float,
     tolerance: float,
@@ -121,7 +174,7 @@ def fit_level(
     known[place], wanted[place] = True, targets
     step = 0
 
-    def measure(control: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def measure(control: F64) -> tuple[F64, F64]:
         nonlocal step
         void, slope, done = np.zeros(start.shape), np.zeros(start.shape), 0
         compared = ordered_map(partial(void_and_slope, codes, control, width=width), runs, threads)
@@ -132,7 +185,7 @@ def fit_level(
         step += 1
         return void, slope
 
-    def move(change: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def move(change: F64, held: Bools) -> F64:
         # cells outside of the part have no equation; a smooth extension keeps them from bending the level inside
         change = extended(change, known)
         return control_with_some_held(change, held) if held.any() else control_of_means(change)

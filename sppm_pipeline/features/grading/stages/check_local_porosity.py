@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -39,7 +38,65 @@ from sppm_pipeline.features.grading.rounds import trial
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.arrays import F64, I64, U8, Bools
 from sppm_pipeline.services.grid import cell_centers
+from sppm_pipeline.services.pictures.sheets import colors_of, contact_sheet, with_scale
+
+_ALONG = 900  # pixels along the longer side of a section
+_NOTHING = (235, 235, 235)
+_POINTS = 4000  # points of the moving window that are drawn
+
+
+def map_sections(target: F64, measured: F64, there: Bools, what: str = "porosity") -> U8:
+    """The section through the middle, across the shortest axis: wanted, measured, and their difference, of values (nx,
+    ny, nz). Outside of the part, where `there` is false, it is gray. Target and measured share one scale; the
+    difference runs from minus to plus its largest size, which is stated.
+    """
+    across = 1 if target.shape[1] <= min(target.shape) else int(np.argmin(target.shape))
+    middle = target.shape[across] // 2
+    wanted, found, inside = (np.take(values, middle, across).T[::-1] for values in (target, measured, there))
+    both = np.concatenate([wanted[inside], found[inside]])
+    low, high = (float(both.min()), float(both.max())) if both.size else (0.0, 1.0)
+    # a constant target would leave no scale
+    if high - low < 1e-6:
+        low, high = low - 0.01, high + 0.01
+    error = found - wanted
+    largest = float(np.abs(error[inside]).max()) if inside.any() else 0.0
+    pictures = [_enlarged(values, inside, low, high) for values in (wanted, found)]
+    pictures.append(_enlarged(error, inside, -max(largest, 1e-6), max(largest, 1e-6)))
+    labels = [f"wanted {what}", f"measured {what}", f"measured less wanted, from {-largest:.4g} to {largest:.4g}"]
+    wide = pictures[0].shape[1] > 1.5 * pictures[0].shape[0]
+    sheet = contact_sheet(pictures, labels, columns=1 if wide else 3)
+    return with_scale(sheet, low, high, what, 140)
+
+
+def _enlarged(values: F64, inside: Bools, low: float, high: float) -> U8:
+    shown = colors_of(np.where(inside, values, low).ravel(), low, high).reshape(*values.shape, 3)
+    shown[~inside] = _NOTHING
+    factor = max(1, _ALONG // max(values.shape))
+    return np.repeat(np.repeat(shown, factor, 0), factor, 1)
+
+
+def porosity_scatter(cells_wanted: F64, cells_found: F64, wanted: F64, found: F64, noise: float | None) -> bytes:
+    """A PNG chart of measured over wanted porosity: places of the window, whole cells, the line where both agree, and
+    with a noise the band of two deviations around it.
+    """
+    from sppm_pipeline.services.pictures.charts import Series, chart
+
+    step = max(1, len(wanted) // _POINTS)
+    every = np.concatenate([cells_wanted, wanted])
+    ends = np.array([every.min(), every.max()])
+    series = [
+        Series(wanted[::step], found[::step], "in the moving window", color="#b8c4ce"),
+        Series(cells_wanted, cells_found, "whole cells", color="#0072b2"),
+        Series(ends, ends, "", "line", color="#000000"),
+    ]
+    if noise is not None:
+        for sign in (-2, 2):
+            label = "two deviations of a homogeneous structure" if sign > 0 else ""
+            series.append(Series(ends, ends + sign * noise, label, "dashed", color="#d55e00"))
+    return chart(series, "scatter.png", x_label="wanted porosity", y_label="measured porosity", size=(5.0, 4.2))
+
 
 NOISE_CELLS = 3
 """Maximum number of cells along an edge of the box in which the noise of a homogeneous structure is measured."""
@@ -48,20 +105,20 @@ NOISE_CELLS = 3
 class BlockMap(NamedTuple):
     """Blocks of the moving window, all (nx, ny, nz): share inside the part, porosity of that, and its target."""
 
-    inside: NDArray[np.float64]
-    void: NDArray[np.float64]
-    target: NDArray[np.float64]
+    inside: F64
+    void: F64
+    target: F64
 
 
 class CellValues(NamedTuple):
     """Cells: meaning of the numbers that name them, these (m, k), centers (m, 3) mm; the rest is (m,)."""
 
     columns: tuple[str, ...]
-    numbers: NDArray[np.int64]
-    middles: NDArray[np.float64]
-    share: NDArray[np.float64]
-    wanted: NDArray[np.float64]
-    found: NDArray[np.float64]
+    numbers: I64
+    middles: F64
+    share: F64
+    wanted: F64
+    found: F64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +194,7 @@ class CheckLocalPorosity(Stage):
 
     def _curved(
         self, context: Context, field: ScalarField, curved: CurvedCells, grading: Grading
-    ) -> tuple[CellValues, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
+    ) -> tuple[CellValues, tuple[F64, F64, Bools]]:
         """Porosities of bent cells, and these at blocks of the lattice: wanted, measured, and where cells are."""
         # other points than those by which a level was tuned with the same resolution
         samples = CurvedSamples(field, curved, self.resolution + 1, context.threads)
@@ -209,13 +266,12 @@ class CheckLocalPorosity(Stage):
         context: Context,
         field: ScalarField,
         cells: CellValues,
-        maps: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]],
+        maps: tuple[F64, F64, Bools],
         noise: float | None,
         law: StiffnessLaw | None,
     ) -> None:
         from PIL import Image
 
-        from sppm_pipeline.features.grading.section_pictures import map_sections, porosity_scatter
         from sppm_pipeline.services.formats import vti
 
         assert self.path is not None
@@ -237,7 +293,7 @@ class CheckLocalPorosity(Stage):
         spacing = (edge / BLOCKS,) * 3
         x, y, z = origin.tolist()
 
-        def shown(name: str, picture: str, wanted: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+        def shown(name: str, picture: str, wanted: F64, found: F64) -> None:
             image = np.where(there, found, np.nan).astype(np.float32)
             with (folder / f"{name}.vti").open("wb") as file:
                 file.writelines(vti.encode(image, spacing, (x, y, z), name))
@@ -258,7 +314,7 @@ def _of_cells(blocks: BlockMap, field: ScalarField) -> CellValues:
     """Cells of which enough lies in the part."""
     nx, ny, nz = (n // BLOCKS for n in blocks.inside.shape)
 
-    def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def summed(values: F64) -> F64:
         return np.asarray(values.reshape(nx, BLOCKS, ny, BLOCKS, nz, BLOCKS).sum((1, 3, 5)))
 
     inside = summed(blocks.inside)

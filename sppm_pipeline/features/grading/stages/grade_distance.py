@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Length, SurfaceMesh, option
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import DistanceLaw
 from sppm_pipeline.method.nouns.maps import Grading
+from sppm_pipeline.services.arrays import F64, I32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class GradeDistance(Grader):
         return DistanceLaw(self.of, unit, *surface_of(part))
 
 
-def surface_of(part: SurfaceMesh | None) -> tuple[NDArray[np.float64], NDArray[np.int32], bool]:
+def surface_of(part: SurfaceMesh | None) -> tuple[F64, I32, bool]:
     """Vertices and faces of the part, and whether they have an inside; `ConfigError` without a surface."""
     if part is None or not len(part.faces):
         raise ConfigError("there is no surface to measure the distance to", hint="read a mesh before this stage")

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Length, SurfaceMesh, option, options
 from sppm_pipeline.errors import nearest
 from sppm_pipeline.features.grading.grader import DataGrader
-from sppm_pipeline.features.grading.laws import NodesLaw
-from sppm_pipeline.features.grading.numerics.samples import (
+from sppm_pipeline.features.grading.laws import (
     CORNERS,
+    NodesLaw,
     as_tetrahedra,
     at_nodes,
     smoothed,
@@ -22,6 +21,7 @@ from sppm_pipeline.features.grading.numerics.samples import (
     volumes,
 )
 from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.formats.hexahedra_file import LARGEST_FILE, READERS
 from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
 
@@ -91,14 +91,7 @@ class GradeNodes(DataGrader):
             values = at_nodes(tetrahedra[good], volume[good], values[good], len(points))
         return self._law(points, tetrahedra[volume > 0], volume[volume > 0], values, of_cells)
 
-    def _law(
-        self,
-        points: NDArray[np.float64],
-        tetrahedra: NDArray[np.int64],
-        volume: NDArray[np.float64],
-        values: NDArray[np.float64],
-        gaps: bool,
-    ) -> NodesLaw:
+    def _law(self, points: F64, tetrahedra: I64, volume: F64, values: F64, gaps: bool) -> NodesLaw:
         """The law of values at nodes; nodes of no solid element are left out."""
         if not len(tetrahedra):
             raise InputError(f"{self.path.name}: all elements are flat")
@@ -118,7 +111,7 @@ class GradeNodes(DataGrader):
                 raise ConfigError(f"`smooth: {self.smooth}`: {error}", hint="smooth less, or a coarser mesh") from None
         return NodesLaw(self.of, self.unit_of_values, self.outside, points, self.factor * values, tetrahedra=tetrahedra)
 
-    def _array(self, read: Any, places: list[int]) -> tuple[NDArray[np.float64], bool]:
+    def _array(self, read: Any, places: list[int]) -> tuple[F64, bool]:
         """One number for each node, or for each element in blocks of these places; and which of both."""
         names = [*read.point_data, *(name for name in read.cell_data if name not in read.point_data)]
         if self.array is None and len(names) != 1:
@@ -138,7 +131,7 @@ class GradeNodes(DataGrader):
             raise InputError(f"{self.path.name}: the array {name[:60]!r} holds no numbers of one shape") from error
         return self._component(array, name), of_cells
 
-    def _component(self, array: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    def _component(self, array: F64, name: str) -> F64:
         count = array.shape[1]
         if count == 1 and self.component is None:
             return array[:, 0]
@@ -153,10 +146,10 @@ class GradeNodes(DataGrader):
         if self.component in words:
             return array[:, words.index(self.component)]
         if self.component == "magnitude":
-            length: NDArray[np.float64] = np.linalg.norm(array, axis=1)
+            length: F64 = np.linalg.norm(array, axis=1)
             return length
         xx, yy, zz, xy, yz, xz = (array[:, k] for k in (range(6) if count == 6 else (0, 4, 8, 1, 5, 2)))
         # von Mises: three halves of the square of the deviator
         squares = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2
-        mises: NDArray[np.float64] = np.sqrt(squares + 3 * (xy**2 + yz**2 + xz**2))
+        mises: F64 = np.sqrt(squares + 3 * (xy**2 + yz**2 + xz**2))
         return mises

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Context, InputError, SurfaceMesh, option, options
 from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.laws import PointsLaw
 from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.services.arrays import F64
 
 MAX_LINEAR = 200_000
 """Maximum number of points of a Delaunay tetrahedralization, which takes about 10 s then."""
@@ -58,7 +58,7 @@ class GradePoints(DataGrader):
             self._require_space(points)
         return PointsLaw(self.of, self.unit_of_values, self.outside, points, values, self.interpolation)
 
-    def _require_space(self, points: NDArray[np.float64]) -> None:
+    def _require_space(self, points: F64) -> None:
         hint = "give `interpolation: nearest` or `interpolation: idw`"
         if len(points) > MAX_LINEAR:
             raise InputError(

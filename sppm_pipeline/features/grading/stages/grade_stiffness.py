@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -31,6 +30,7 @@ from sppm_pipeline.features.grading.rounds import curve_of, recipe_total, trial
 from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.services.arrays import F64
 
 TRIED = 6
 """Numbers of pores that usually cover porosities from 0.3 to 0.8."""
@@ -134,12 +134,12 @@ class GradeStiffness(Grader):
         curve_of(context, porosity, recipe_total(recipe), np.array(self.porosities), self.trials)
         return found
 
-    def _moduli_of(self, context: Context, recipe: Recipe) -> NDArray[np.float64]:
+    def _moduli_of(self, context: Context, recipe: Recipe) -> F64:
         """Porosities and relative moduli (n, 2) of cells of a recipe."""
         found = [report.summary() for _, report in self.cells_of(context, recipe)]
         return np.array([(float(one["porosity"]), float(one["isotropic"]["E"])) for one in found])
 
-    def _law(self, context: Context, cells: NDArray[np.float64] | None) -> StiffnessLaw:
+    def _law(self, context: Context, cells: F64 | None) -> StiffnessLaw:
         """Fit the curve."""
         if cells is not None:
             where = "the recipe: "

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     Context,
@@ -33,6 +32,7 @@ from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, latti
 from sppm_pipeline.method.families.tileset_maker import check_faces
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.tiling.lattice import face_presence, meetings, tile_fresh, with_halo
+from sppm_pipeline.services.arrays import F64, I64, Bools
 
 FACE_OFFSET = 0.25
 """Distance from a face, in cell sizes, at which the map gives its number of pores on either side. A heuristic: the
@@ -122,7 +122,7 @@ class GradedTiling(Stage):
         assert palette.totals is not None
         redraws = _Redraws(palette, targets, curve, self.rounds)
 
-        def errors(number: int, made: Tiling) -> NDArray[np.float64]:
+        def errors(number: int, made: Tiling) -> F64:
             cells, found = LatticeCells(made, self.resolution, context.threads), np.full(len(targets), np.nan)
             own = arrays.box[tuple(np.array(cells.cells).T)]
             found[own] = cells.counted() - targets[own]
@@ -138,7 +138,7 @@ class GradedTiling(Stage):
         )
         return made
 
-    def _arrays(self, mask: NDArray[np.bool_]) -> TilingArrays:
+    def _arrays(self, mask: Bools) -> TilingArrays:
         """Interiors and faces of the part and of the cells around it."""
         around = with_halo(mask, HALO)
         if self.faces != "same":
@@ -155,7 +155,7 @@ class GradedTiling(Stage):
 
     def _face_totals(
         self, grading: Grading, curve: PorosityCurve, arrays: TilingArrays, lattice: Lattice
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    ) -> tuple[I64, I64, I64]:
         """For each face the number of pores that a cell around it would have: the mean of its two sides."""
         assert lattice.edge is not None
         low, high = np.zeros(3), np.array(lattice.mask.shape, np.float64)
@@ -196,7 +196,7 @@ class _Redraws:
     had again. `targets` (m,) are porosities of interiors, `totals` (m,) pores of each cell in the last round.
     """
 
-    def __init__(self, palette: Palette, targets: NDArray[np.float64], curve: PorosityCurve, rounds: int) -> None:
+    def __init__(self, palette: Palette, targets: F64, curve: PorosityCurve, rounds: int) -> None:
         assert palette.totals is not None
         self._palette, self._targets, self._curve, self._rounds, self._last = palette, targets, curve, rounds, False
         # the round in which each cell came nearest to its target, and how far it was from it then
@@ -204,7 +204,7 @@ class _Redraws:
         self._draws = self._best_draws = self._drawn = np.zeros_like(palette.totals)
         self._nearest = np.full(len(targets), np.inf)
 
-    def again(self, number: int, made: Tiling, errors: NDArray[np.float64]) -> Palette | None:
+    def again(self, number: int, made: Tiling, errors: F64) -> Palette | None:
         """The palette of the next round by the errors of this one, NaN where there are none; None if it is good."""
         measured = np.isfinite(errors)
         size = np.where(measured, np.abs(errors), np.inf)
@@ -230,18 +230,18 @@ class _Redraws:
         self._last = True
         return self._with(self._best_totals, self._best_draws, np.zeros(len(size), bool))
 
-    def _with(self, totals: NDArray[np.int64], draws: NDArray[np.int64], redrawn: NDArray[np.bool_]) -> Palette:
+    def _with(self, totals: I64, draws: I64, redrawn: Bools) -> Palette:
         """The palette of these numbers of pores and draws; cells `redrawn` get a draw not used before."""
         self._drawn = self._drawn + redrawn
         self.totals, self._draws = totals, np.where(redrawn, self._drawn, draws)
         return replace(self._palette, totals=self.totals, draws=self._draws)
 
 
-def _level_reach(targets: NDArray[np.float64], level: float) -> NDArray[np.float64]:
+def _level_reach(targets: F64, level: float) -> F64:
     """By how much a porosity changes with ln C of a level C, (m,).
 
     Of tunnels with kernels exp(-omega r^2) the section is in proportion to -ln C, and where they overlap at random
     -ln(1 - porosity) is in proportion to the section; the derivative of that.
     """
-    slope: NDArray[np.float64] = (1 - targets) * -np.log1p(-targets) / -np.log(level)
+    slope: F64 = (1 - targets) * -np.log1p(-targets) / -np.log(level)
     return slope

@@ -21,9 +21,9 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.features.grading.curved_porosity import FINER, FINEST, most_samples
-from sppm_pipeline.features.grading.hexahedra import cells_of_mesh, check_path, size_of_mesh
 from sppm_pipeline.features.grading.hexahedral_cloud import RIM, HexahedralCloud
 from sppm_pipeline.features.grading.rounds import trial
+from sppm_pipeline.features.grading.stages.read_hexahedra import cells_of_mesh, check_path, size_of_mesh
 from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra

@@ -34,6 +34,7 @@ from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.sampling.darts import throw
 from sppm_pipeline.method.tiling.lattice import with_halo
+from sppm_pipeline.services.arrays import F64, I64
 
 TIGHTER = 0.93
 """Factor of the spacing after the pores of a transition cell did not fit. Not sensitive: it is applied until they fit,
@@ -99,7 +100,7 @@ class JoinedTiling(Stage):
         mask = with_halo(lattice.mask, HALO)
         frame = grading.in_cells(edge, lattice.origin)
 
-        def weights(place: NDArray[Any]) -> NDArray[np.float64]:
+        def weights(place: NDArray[Any]) -> F64:
             world = (place - HALO) * edge + np.array(lattice.origin)
             return np.clip(frame["weight"].at(world.reshape(-1, 3)), 0, 1).reshape(place.shape[:-1])
 
@@ -122,7 +123,7 @@ class JoinedTiling(Stage):
         counts = (1 - share) * usual[0].pores + share * usual[1].pores
         inside = np.pad(lattice.mask, HALO)[tuple(between.T)]
 
-        def laid(wanted: tuple[int, NDArray[np.float64]]) -> Tiling | LevelField:
+        def laid(wanted: tuple[int, F64]) -> Tiling | LevelField:
             turn, counts = wanted
             cells = [
                 self._drawn(context, layout, number, (turn, number), counts[number], share[number], usual)
@@ -131,7 +132,7 @@ class JoinedTiling(Stage):
             tiling = layout.tiling(cells)
             return tiling if control is None else LevelField(tiling, control)
 
-        def errors(turn: int, made: Tiling | LevelField) -> NDArray[np.float64]:
+        def errors(turn: int, made: Tiling | LevelField) -> F64:
             found = np.full(len(between), np.nan)
             if not inside.any():
                 return found
@@ -139,9 +140,7 @@ class JoinedTiling(Stage):
             found[inside] = LatticeCells(made, self.resolution, context.threads, only=cells).counted()
             return found - targets
 
-        def again(
-            turn: int, made: Tiling | LevelField, errors: NDArray[np.float64]
-        ) -> tuple[int, NDArray[np.float64]] | None:
+        def again(turn: int, made: Tiling | LevelField, errors: F64) -> tuple[int, F64] | None:
             nonlocal counts
             # a pore takes the same share of what is solid anywhere, as in the Boolean model
             slope = -(1 - targets) * np.log1p(-targets) / np.maximum(counts, 1)
@@ -176,9 +175,7 @@ class JoinedTiling(Stage):
         count = float((pores.piece < pores.interiors).sum()) / pores.interiors
         return Usual(count * m**3, spacing / m, *usual_kernels(micro, m), porosity)
 
-    def _levels(
-        self, sets: JoinedSets, own: NDArray[np.int8], between: NDArray[np.int64], share: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
+    def _levels(self, sets: JoinedSets, own: NDArray[np.int8], between: I64, share: F64) -> F64 | None:
         """ln C in the middle of each cell of the box, or None if both sets have one level."""
         first, second = (float(np.log(tileset.micro.level)) for tileset in sets.sets)
         if first == second:
@@ -191,7 +188,7 @@ class JoinedTiling(Stage):
 
             nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)
             weight = weight[tuple(nearest)]
-        control: NDArray[np.float64] = ((1 - weight) * first + weight * second)[HALO:-HALO, HALO:-HALO, HALO:-HALO]
+        control: F64 = ((1 - weight) * first + weight * second)[HALO:-HALO, HALO:-HALO, HALO:-HALO]
         return control
 
     def _drawn(

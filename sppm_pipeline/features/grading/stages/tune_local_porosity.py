@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     Context,
@@ -32,11 +31,11 @@ from sppm_pipeline.features.grading.curved_porosity import (
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
 from sppm_pipeline.features.grading.local_porosity import HALF_RANGE, RAMP, LatticeCells, cell_means, error_summary
 from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
-from sppm_pipeline.features.grading.numerics.local_level import CellCodes, fit_level
-from sppm_pipeline.features.grading.numerics.newton import LevelFit
+from sppm_pipeline.features.grading.numerics.local_level import CellCodes, LevelFit, fit_level
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.nouns.maps import Grading
+from sppm_pipeline.services.arrays import F64, I64
 
 LOWEST = 0.05
 """Lower bound of the level C, where pores are 1.5 times as wide as at the usual 0.25. Not sensitive: levels of graded
@@ -51,8 +50,8 @@ class _Fitted(NamedTuple):
 
     field: LevelField
     names: list[Any]
-    numbers: NDArray[np.int64]
-    targets: NDArray[np.float64]
+    numbers: I64
+    targets: F64
     fit: LevelFit
     resolution: int
 
@@ -208,9 +207,7 @@ class TuneLocalPorosity(Stage):
             f"has a porosity of {targets[worst] + error:.4f} instead of {targets[worst]:.4f} and needs {advice}"
         )
 
-    def _warn_of_errors(
-        self, context: Context, fitted: _Fitted, which: NDArray[np.int64], errors: NDArray[np.float64], finer: int
-    ) -> None:
+    def _warn_of_errors(self, context: Context, fitted: _Fitted, which: I64, errors: F64, finer: int) -> None:
         """Report the errors of some cells on an independent grid, and name the worst if it is beyond the tolerance."""
         context.report(checked_at=finer, **error_summary(errors))
         free = np.where(fitted.fit.at_bound[which], 0.0, np.abs(errors))

@@ -1,14 +1,204 @@
-"""Void that opens nowhere, for drains and fills, and the longest way out of void that is open."""
+"""Void that opens nowhere, for drains and fills, and the longest way out of void that is open.
+
+Places at which a part may be drilled: away from its edges, the holes that it has, and the build plate.
+
+A drain enters along the normal of the surface. Candidates are spread over the surface by area; those near a sharp edge
+of the mesh, a concave cylinder or cone (a bolt hole, a bore, the end of a slot), the lowest plane, or a mesh that is to
+be kept clear are left out. Of the rest, the whole capsule is looked at: it must not come near another face of the part.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.components import find_components, paint_runs
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.chosen_faces import faces_within
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8, Bools
+from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.mesh.adjacency import adjacency
+from sppm_pipeline.services.mesh.measures import components
+from sppm_pipeline.services.mesh.rays import spread_points
+
+CANDIDATES = 6000
+"""Points of the surface that are tried: on a part of 60 cm2 one per mm2. More only take longer."""
+
+SHARP_ANGLE = 40.0
+"""Degrees between the normals of two triangles that meet in an edge to keep away from.
+
+Between facets of cylinders of 12 or more faces (30 degrees and less) and chamfers (45). At twice the angle chamfers
+do not count, at half of it coarse cylinders are all edges.
+"""
+
+FLAT_ANGLE = 1.5
+"""Degrees below which two triangles are in one plane; cylinders of up to 240 faces bend more."""
+
+CYLINDER_SPREAD = 0.02
+"""Variance of the normals of a cylinder or cone along its axis; that of a ball is a third."""
+
+QUARTER_TURN = 0.85
+"""Length of the mean normal of a concave surface above which it turns by less than a third of a circle: a fillet."""
+
+
+class Features(NamedTuple):
+    """Features of a mesh that drains keep away from."""
+
+    edges: F64  # (k, 3, 3), sharp edges, as triangles without an area
+    holes: F64  # (n, 3, 3), triangles of concave cylinders and cones
+
+
+def mesh_features(vertices: F64, faces: I32) -> Features:
+    """Find the sharp edges and the holes of a mesh that is wound outwards."""
+    # edges are found by place, as some formats give every triangle corners of its own
+    points, numbers = np.unique(vertices, axis=0, return_inverse=True)
+    faces = np.ascontiguousarray(numbers.reshape(-1)[faces], np.int32)
+    corners = points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.linalg.norm(normals, axis=1)
+    units = normals / np.maximum(twice, 1e-300)[:, None]
+    opposite = adjacency(faces).opposite
+    half = np.arange(len(opposite))
+    mine, start, end = half // 3, faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    paired = opposite >= 0
+    theirs = np.where(paired, opposite // 3, mine)
+    along = points[end] - points[start]
+    cross = np.cross(units[mine], units[theirs])
+    angle = np.degrees(np.arctan2(np.linalg.norm(cross, axis=1), (units[mine] * units[theirs]).sum(1)))
+    whole = (twice[mine] > 0) & (twice[theirs] > 0)
+    sharp = ~paired | (whole & (angle > SHARP_ANGLE))
+    sharp &= ~paired | (half < opposite)
+    edges = np.stack([points[start[sharp]], points[end[sharp]], points[end[sharp]]], axis=1)
+    bent = paired & whole & (angle > FLAT_ANGLE) & (angle <= SHARP_ANGLE) & ((cross * along).sum(1) < 0)
+    # concave triangles that meet in an edge which is not sharp belong together, flat pairs of them included
+    concave = np.zeros(len(faces), np.bool_)
+    concave[mine[bent]] = True
+    joined = paired & whole & (angle <= SHARP_ANGLE) & concave[mine] & concave[theirs]
+    links = np.stack([mine, theirs, theirs], axis=1)[joined]
+    count, of_link = components(links)
+    label = np.full(len(faces), -1)
+    label[links[:, 0]] = of_link
+    chosen = label >= 0
+    weights = np.bincount(label[chosen], twice[chosen], count)
+    sums = np.stack([np.bincount(label[chosen], normals[chosen, a], count) for a in range(3)], axis=1)
+    means = sums / np.maximum(weights, 1e-300)[:, None]
+    spreads = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(3):
+            products = twice[chosen] * units[chosen, a] * units[chosen, b]
+            spreads[:, a, b] = np.bincount(label[chosen], products, count) / np.maximum(weights, 1e-300)
+    # The normals of a cylinder lie in a plane through the origin, those of a cone in one beside it: no variance along
+    # the axis. The mean of a quarter of a circle has the length 0.90, that of a third 0.83, of a half 0.64, of all 0.
+    spreads -= means[:, :, None] * means[:, None, :]
+    least = np.linalg.eigvalsh(spreads)[:, 0] if count else np.empty(0)
+    is_hole = (least < CYLINDER_SPREAD) & (np.linalg.norm(means, axis=1) < QUARTER_TURN)
+    return Features(edges, corners[chosen][is_hole[label[chosen]]])
+
+
+class Candidates(NamedTuple):
+    """Points at which drains may open."""
+
+    points: F64  # (n, 3), mm
+    inwards: F64  # (n, 3), unit normals into the part
+    radius: float  # of the drains, mm
+    clear: float  # from their rims to what they keep away from, mm
+    floor: float  # height of the build plate
+    mouths_off: F64  # (k, 3, 3), triangles that the mouths of drains keep away from: sharp edges
+    all_off: F64  # (k, 3, 3), triangles that all of a drain keeps away from
+    zone: tuple[F64, float] | None  # triangles (n, 3, 3) that are to be kept out of, and how far, mm
+
+    def keeps_clear(self, capsule: F64) -> bool:
+        """Test whether all of a capsule (7,), from within the part to its mouth, is as far off as it should be."""
+        a, b, reach = capsule[:3], capsule[3:6], self.radius + self.clear
+        along = (b - a) / np.linalg.norm(b - a)
+        # a round rim in a slanted face is lower than its middle
+        lowest = min(a[2], b[2]) - self.radius * math.sqrt(max(0.0, 1 - along[2] ** 2))
+        axis = a + np.linspace(0.0, 1.0, 17)[:, None] * (b - a)
+        return bool(
+            lowest >= self.floor + self.clear
+            and not points_within(b[None], self.mouths_off, reach).any()
+            and not points_within(axis, self.all_off, reach).any()
+            and (self.zone is None or not points_within(axis, self.zone[0], self.radius + self.zone[1]).any())
+        )
+
+
+def drain_candidates(domain: SurfaceMesh, radius: float, clear: float, zone: tuple[F64, float] | None) -> Candidates:
+    """The points of a part's surface where a round hole stays away from edges, holes, plate and zone.
+
+    The mesh is wound outwards; `radius` is that of the hole, `clear` from its rim, mm; `zone` are triangles (n, 3, 3)
+    to keep out of, and how far from its rim.
+    """
+    outer = domain.outer_surface
+    triangles = domain.vertices[domain.faces] if outer is None else outer.triangles
+    points, inwards, _ = spread_points(triangles, CANDIDATES)
+    features, reach = mesh_features(domain.vertices, domain.faces), radius + clear
+    floor = float(domain.lower[2])
+    allowed = points[:, 2] >= floor + clear
+    allowed &= ~points_within(points, features.edges, reach) & ~points_within(points, features.holes, reach)
+    if zone is not None:
+        allowed &= ~points_within(points, zone[0], radius + zone[1])
+    return Candidates(points[allowed], inwards[allowed], radius, clear, floor, *features, zone)
+
+
+def points_within(points: F64, triangles: F64, distance: float) -> Bools:
+    """Test which points (n, 3) lie within a distance of triangles (k, 3, 3), (n,) bool."""
+    each = np.repeat(np.arange(len(points), dtype=np.int32), 3).reshape(-1, 3)
+    return faces_within(points, each, triangles, distance)
+
+
+def borings(candidates: Candidates, traps: Traps, label: int, depths: F32, world: Grid, costs: F64) -> F64:
+    """Capsules (n, 7) that lead from candidates straight into a trap, by rising length within solid plus costs.
+
+    `depths`, (nz, ny, nx), is the distance from the surface of the part, positive inside, and `costs`, (n,), further
+    costs of each candidate, both in mm. Along the axis the surface must be no nearer than the mouth, or than the radius
+    and `clear`, so that no hole runs along below a face or ends before another; and outside the way must be free for a
+    diameter.
+    """
+    h, radius, clear = world.spacing[0], candidates.radius, candidates.clear
+    steps = np.arange(-2 * radius - h, float(np.linalg.norm(world.shape)) * h / 2, h / 2)
+    at = candidates.points[:, None] + steps[None, :, None] * candidates.inwards[:, None]
+    index = np.rint((at - np.array(world.origin)) / h).astype(np.int64)
+    last = np.array(world.shape) - 1
+    outside = ((index < 0) | (index > last)).any(2)
+    x, y, z = np.moveaxis(np.clip(index, 0, last), 2, 0)
+    found = traps.labels[z, y, x]
+    found[outside] = 1
+    depth = np.where(outside, -np.inf, depths[z, y, x])
+    reached = (found == label) & (steps > 0)
+    first = reached.argmax(1)
+    within = (steps[None] > 0) & (steps[None] <= (steps[first] + radius)[:, None])
+    slack = 1.5 * h  # of a distance between voxels
+    # A drain must not begin below an overhang or in a narrow gap: there its mouth would be another face.
+    free = np.where(steps < 0, depth <= -np.minimum(-steps, radius) + slack, True).all(1)
+    deep = np.where(within, depth >= np.minimum(steps, radius + clear) - slack, True).all(1)
+    through = ((found == 0) & within & (np.arange(len(steps)) < first[:, None])).sum(1) * h / 2
+    chosen = np.flatnonzero(reached.any(1) & free & deep & np.isfinite(costs))
+    chosen = chosen[np.argsort((through + costs)[chosen], kind="stable")]
+    points, inwards = candidates.points[chosen], candidates.inwards[chosen]
+    inner = points + inwards * (steps[first[chosen]] + h)[:, None]
+    return np.concatenate([inner, points - inwards * h, np.full((len(chosen), 1), radius)], axis=1)
+
+
+def signed_depths(inside: U8, spacing: float) -> F32:
+    """Distance of voxels (nz, ny, nx) from the surface of what is inside, positive there."""
+    from scipy.ndimage import distance_transform_edt
+
+    found: F64 = distance_transform_edt(inside) - distance_transform_edt(1 - inside)
+    return (spacing * (found - np.sign(found) / 2)).astype(np.float32)
+
+
+def loose_voxels(sizes: I64) -> int:
+    """Voxels of all components but the largest."""
+    return int(sizes.sum() - sizes.max(initial=0))
+
+
+def unit(direction: tuple[float, float, float]) -> F64:
+    """A direction as a vector of length 1."""
+    return np.array(direction) / math.sqrt(sum(a * a for a in direction))
+
 
 AMBIENT = 1
 """Label of all void that reaches the border of the grid."""
@@ -17,11 +207,11 @@ AMBIENT = 1
 class Traps(NamedTuple):
     """Void that opens nowhere, the largest component first."""
 
-    labels: NDArray[np.int32]  # (nz, ny, nx): 0 in solid, `AMBIENT`, and 2, 3, ... in the traps
-    sizes: NDArray[np.int64]  # (n,), voxels of each trap
+    labels: I32  # (nz, ny, nx): 0 in solid, `AMBIENT`, and 2, 3, ... in the traps
+    sizes: I64  # (n,), voxels of each trap
 
 
-def find_traps(solid: NDArray[np.uint8]) -> Traps:
+def find_traps(solid: U8) -> Traps:
     """Components of the void (nz, ny, nx) that do not meet the border of the grid, across faces."""
     found = find_components(solid, (False, False, False), 6, zeros=True)
     closed = ~found.faces.any(1)
@@ -34,13 +224,13 @@ def find_traps(solid: NDArray[np.uint8]) -> Traps:
 class SmallVoids(NamedTuple):
     """Void that opens nowhere and is small enough to be filled."""
 
-    sizes: NDArray[np.int64]  # (n,), voxels of each, the largest first
-    places: NDArray[np.int32]  # (n, 3), the first voxel of each, z, y, x
-    runs: NDArray[np.int32]  # (m, 4), z, y, first x and last x of their runs
-    left: NDArray[np.int64]  # (k,), voxels of the closed voids that are larger, the largest first
+    sizes: I64  # (n,), voxels of each, the largest first
+    places: I32  # (n, 3), the first voxel of each, z, y, x
+    runs: I32  # (m, 4), z, y, first x and last x of their runs
+    left: I64  # (k,), voxels of the closed voids that are larger, the largest first
 
 
-def find_small_voids(solid: NDArray[np.uint8], largest: float) -> SmallVoids:
+def find_small_voids(solid: U8, largest: float) -> SmallVoids:
     """Components of the void (nz, ny, nx) of up to `largest` voxels that do not meet the border, across faces."""
     found = find_components(solid, (False, False, False), 6, zeros=True)
     closed = ~found.faces.any(1)
@@ -66,9 +256,9 @@ class Depth:
         self._block = block
         self._sheet = np.zeros((len(self._y), len(self._x)), np.uint8)
         self._taken = 0
-        self._done: list[NDArray[np.uint8]] = []
+        self._done: list[U8] = []
 
-    def add(self, layer: NDArray[np.uint8]) -> None:
+    def add(self, layer: U8) -> None:
         """Take in the next layer, (ny, nx), 1 where it is open."""
         rows = np.maximum.reduceat(layer, self._y, axis=0)
         np.maximum(self._sheet, np.maximum.reduceat(rows, self._x, axis=1), out=self._sheet)
@@ -89,7 +279,7 @@ class Depth:
 
 
 @jit
-def _farthest(open_: NDArray[np.uint8]) -> int:
+def _farthest(open_: U8) -> int:
     """Steps from the border to the farthest open block that is reached; blocks that are reached are closed."""
     nz, ny, nx = open_.shape
     flat = open_.ravel()

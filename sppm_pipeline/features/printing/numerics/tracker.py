@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.runs import Runs
+from sppm_pipeline.services.arrays import I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root
 
@@ -44,14 +45,14 @@ class LayerCount(NamedTuple):
 class Events(NamedTuple):
     """Components that were not grounded for some layers, the largest first."""
 
-    kind: NDArray[np.int64]  # (n,): `JOINED`, `NEVER`, `AT_PLATE` or `AT_END`
-    birth: NDArray[np.int64]  # (n,), first layer
-    end: NDArray[np.int64]  # (n,), the first layer in which it is not there on its own any more
-    volume: NDArray[np.int64]  # (n,), voxels before `end`
-    section: NDArray[np.int64]  # (n,), pixels of the largest section
-    place: NDArray[np.int64]  # (n, 3), a voxel (layer, y, x) of the largest section, in the middle of its longest run
-    counts: NDArray[np.int64]  # (4,), number of all events by kind, listed or not
-    totals: NDArray[np.int64]  # (4,), voxels of all events by kind
+    kind: I64  # (n,): `JOINED`, `NEVER`, `AT_PLATE` or `AT_END`
+    birth: I64  # (n,), first layer
+    end: I64  # (n,), the first layer in which it is not there on its own any more
+    volume: I64  # (n,), voxels before `end`
+    section: I64  # (n,), pixels of the largest section
+    place: I64  # (n, 3), a voxel (layer, y, x) of the largest section, in the middle of its longest run
+    counts: I64  # (4,), number of all events by kind, listed or not
+    totals: I64  # (4,), voxels of all events by kind
 
 
 class Tracker:
@@ -77,11 +78,11 @@ class Tracker:
         self._total = np.zeros(4, np.int64)
 
     @property
-    def grounded(self) -> NDArray[np.bool_]:
+    def grounded(self) -> Bools:
         return np.asarray(self._table[:, _GROUNDED], np.bool_)
 
     @property
-    def plate(self) -> NDArray[np.bool_]:
+    def plate(self) -> Bools:
         """Open components of void that meet the build plate."""
         return np.asarray(self._table[:, _PLATE], np.bool_)
 
@@ -113,7 +114,7 @@ class Tracker:
             e[:, 0], b[:, _BIRTH], e[:, 1], b[:, _VOLUME], b[:, _SECTION], b[:, [_Z, _Y, _X]], self._count, self._total
         )
 
-    def _keep(self, events: NDArray[np.int64]) -> None:
+    def _keep(self, events: I64) -> None:
         if not len(events):
             return
         np.add.at(self._count, events[:, 0], 1)
@@ -125,7 +126,7 @@ class Tracker:
             self._events, self._waiting = [merged[_largest_first(merged)[:MAX_LISTED]]], 0
 
 
-def _largest_first(events: NDArray[np.int64]) -> NDArray[np.intp]:
+def _largest_first(events: I64) -> NDArray[np.intp]:
     """By volume, then by birth and place, so that equal ones have an order too."""
     b = events[:, 2:]
     return np.lexsort((b[:, _X], b[:, _Y], b[:, _Z], b[:, _BIRTH], -b[:, _VOLUME]))
@@ -138,9 +139,7 @@ def complement(runs: Runs) -> Runs:
 
 
 @jit
-def _complement(
-    rows: NDArray[np.int64], bounds: NDArray[np.int32], nx: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _complement(rows: I64, bounds: I32, nx: int) -> tuple[I64, I32]:
     out_rows = np.empty_like(rows)
     out = np.empty(bounds.size + 2 * (rows.size - 1), np.int32)
     n = 0
@@ -162,7 +161,7 @@ def _complement(
 
 
 @jit
-def _join_within(rows: NDArray[np.int64], bounds: NDArray[np.int32], local: NDArray[np.int32]) -> int:
+def _join_within(rows: I64, bounds: I32, local: I32) -> int:
     """Point each run at the first one of its two-dimensional component; returns pixels with one of the phase below."""
     shared = 0
     for r in range(rows[0], rows[1]):
@@ -193,9 +192,8 @@ def _join_within(rows: NDArray[np.int64], bounds: NDArray[np.int32], local: NDAr
 
 @jit
 def _join_below(
-    rows: NDArray[np.int64], bounds: NDArray[np.int32], rows_below: NDArray[np.int64], bounds_below: NDArray[np.int32],
-    of_below: NDArray[np.int32], local: NDArray[np.int32], touched: NDArray[np.int32], forest: NDArray[np.int32],
-) -> None:  # fmt: skip
+    rows: I64, bounds: I32, rows_below: I64, bounds_below: I32, of_below: I32, local: I32, touched: I32, forest: I32
+) -> None:
     """Unite the open components that a two-dimensional one touches, and note one of them for it."""
     for y in range(rows.size - 1):
         a, a_stop = rows[y], rows[y + 1]
@@ -220,10 +218,9 @@ def _join_below(
 
 @jit
 def _grow(
-    rows: NDArray[np.int64], bounds: NDArray[np.int32], nx: int, rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32], of_below: NDArray[np.int32], table: NDArray[np.int64], k: int,
-    border_grounds: bool, all_grounded: bool, on_plate: bool, of_run: NDArray[np.int32], successor: NDArray[np.int32],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
+    rows: I64, bounds: I32, nx: int, rows_below: I64, bounds_below: I32, of_below: I32, table: I64, k: int,
+    border_grounds: bool, all_grounded: bool, on_plate: bool, of_run: I32, successor: I32,
+) -> tuple[I64, I64, I64]:  # fmt: skip
     """One step: the new table of open components, the events, and the numbers of `LayerCount`."""
     n, m, ny = bounds.size // 2, len(table), rows.size - 1
     local = np.empty(n, np.int32)

@@ -9,25 +9,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    Length,
-    Rejected,
-    SliceStack,
-    Stage,
-    option,
-    options,
+from sppm_pipeline import ConfigError, Context, Headline, Length, Rejected, SliceStack, Stage, option, options
+from sppm_pipeline.features.printing.print_report import (
+    PrintReport,
+    curves_chart,
+    marked_layer,
+    marked_sheet,
+    parse_rule,
+    rounded,
+    throats_chart,
+    trapped,
 )
-from sppm_pipeline.features.printing.print_report import PrintReport, parse_rule, rounded, trapped
 from sppm_pipeline.features.printing.printer_writer import Job
 from sppm_pipeline.method.nouns.printer import Resin, cards
+from sppm_pipeline.services.arrays import U8, Bools
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.printing.numerics.scan import Scan
+    from sppm_pipeline.features.printing.numerics.layers import Scan
     from sppm_pipeline.features.printing.numerics.tracker import Events
 
 ATMOSPHERE = 0.101
@@ -253,13 +252,6 @@ class CheckPrint(Stage):
     def _write(self, context: Context, stack: SliceStack, report: PrintReport, scan: Scan) -> None:
         from PIL import Image
 
-        from sppm_pipeline.features.printing.print_pictures import (
-            curves_chart,
-            marked_layer,
-            marked_sheet,
-            throats_chart,
-        )
-
         folder = context.output(self.report)
         folder.mkdir()
         (folder / "report.json").write_text(report.json(), encoding="utf-8")
@@ -282,11 +274,16 @@ class Passes:
     """Everything that looks at the layers of a stack while they are read once."""
 
     def __init__(self, stage: CheckPrint, stack: SliceStack) -> None:
-        from sppm_pipeline.features.printing.numerics.curing import CureThrough
-        from sppm_pipeline.features.printing.numerics.distance import Coarsened, coarse_factors
-        from sppm_pipeline.features.printing.numerics.openings import Coarse, ThinFeatures, Throats
+        from sppm_pipeline.features.printing.numerics.layers import PrintScan
+        from sppm_pipeline.features.printing.numerics.openings import (
+            Coarse,
+            Coarsened,
+            CureThrough,
+            ThinFeatures,
+            Throats,
+            coarse_factors,
+        )
         from sppm_pipeline.features.printing.numerics.routes import Depth
-        from sppm_pipeline.features.printing.numerics.scan import PrintScan
 
         h, shape = stack.layer_mm, stack.shape
         reach = max(*stack.pixel_mm, h * math.tan(math.radians(stage.overhang_angle)))
@@ -327,7 +324,7 @@ class Passes:
         self._voxel_mm3 = math.prod(stack.pixel_mm) * h
         self.throat_rows: list[dict[str, float]] = []
 
-    def add(self, solid: NDArray[np.uint8]) -> None:
+    def add(self, solid: U8) -> None:
         """Take in the next layer of zeros and ones."""
         self._begun |= self._scan.add(solid).n_runs > 0
         for coarse in self._coarse:
@@ -374,7 +371,7 @@ class Passes:
         return found
 
 
-def _listed(found: Events, which: NDArray[np.bool_], stack: SliceStack) -> list[dict[str, Any]]:
+def _listed(found: Events, which: Bools, stack: SliceStack) -> list[dict[str, Any]]:
     """The largest of some events in millimeters."""
     (px, py), h = stack.pixel_mm, stack.layer_mm
     ends = {0: "joined", 1: "never", 2: "at the plate", 3: "open at the top"}

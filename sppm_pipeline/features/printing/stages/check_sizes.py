@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -24,6 +23,7 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.features.printing.print_report import Measure, parse_rule
+from sppm_pipeline.services.arrays import F32, U8
 from sppm_pipeline.services.grid import cell_centers
 
 if TYPE_CHECKING:
@@ -236,9 +236,7 @@ def _for_people(sizes: LimitSizes) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _described(
-    thickness: NDArray[np.float32], spacing: float, limit: float | None
-) -> tuple[dict[str, Any] | None, float | None]:
+def _described(thickness: F32, spacing: float, limit: float | None) -> tuple[dict[str, Any] | None, float | None]:
     """The distribution of sizes, and the share of the phase that is smaller than a limit; None for an empty phase."""
     from sppm_pipeline.services.local_thickness import size_distribution
 
@@ -252,12 +250,12 @@ def _described(
     return {**found._asdict(), "quantiles": list(found.quantiles)}, share
 
 
-def _solid(field: ScalarField, n: int, threads: int) -> NDArray[np.uint8]:
+def _solid(field: ScalarField, n: int, threads: int) -> U8:
     """Voxels of the solid."""
     return np.ascontiguousarray(field.sample(cell_centers(n, field.cells), threads).T < 0).view(np.uint8)
 
 
-def _solid_and_area(field: ScalarField, n: int, threads: int) -> tuple[NDArray[np.uint8], float]:
+def _solid_and_area(field: ScalarField, n: int, threads: int) -> tuple[U8, float]:
     """Voxels, and the area of the surface between them in cell sizes^2, divided by the number of cells."""
     from sppm_pipeline.services.mesh.closing import wrapped
     from sppm_pipeline.services.mesh.marching_cubes import marching_cubes

@@ -9,7 +9,6 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -24,14 +23,23 @@ from sppm_pipeline import (
     option,
     options,
 )
-from sppm_pipeline.features.printing.numerics.routes import AMBIENT
-from sppm_pipeline.features.printing.print_report import rounded
+from sppm_pipeline.features.printing.numerics.routes import (
+    AMBIENT,
+    borings,
+    drain_candidates,
+    find_traps,
+    loose_voxels,
+    points_within,
+    signed_depths,
+    unit,
+)
+from sppm_pipeline.features.printing.print_report import drains_sheet, rounded
 from sppm_pipeline.method.part.part import coarse_size
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.printing.numerics.drilling import Candidates
-    from sppm_pipeline.features.printing.numerics.routes import Traps
+    from sppm_pipeline.features.printing.numerics.routes import Candidates, Traps
 
 HEIGHT_COSTS = 0.25
 """Millimeters of solid that a hole may go through to begin a millimeter lower: resin runs out of low holes, and air
@@ -98,8 +106,6 @@ class FixDrains(Stage):
 
     def run(self, context: Context, part: Part, keep_out: SurfaceMesh | None = None) -> Part:
         """Drill, look again, and drill the next."""
-        from sppm_pipeline.features.printing.numerics.drilling import drain_candidates, loose_voxels, signed_depths
-        from sppm_pipeline.features.printing.numerics.routes import find_traps
         from sppm_pipeline.method.connectivity.components import find_components
         from sppm_pipeline.method.part.capsules import depths_in_capsules
         from sppm_pipeline.method.part.inside import inside_layers, prepare_inside
@@ -183,13 +189,11 @@ class FixDrains(Stage):
         candidates: Candidates,
         traps: Traps,
         which: int,
-        depths: NDArray[np.float32],
+        depths: F32,
         world: Grid,
         holes: list[dict[str, Any]],
     ) -> Iterator[Drain]:
         """Capsules that lead into a trap, the best first."""
-        from sppm_pipeline.features.printing.numerics.drilling import borings, points_within, unit
-
         lowest = world.axis(2)[np.flatnonzero((traps.labels == which + 2).any((1, 2)))[0]]
         costs = HEIGHT_COSTS * np.maximum(0.0, candidates.points[:, 2] - lowest)
         if self.toward is not None:
@@ -205,15 +209,14 @@ class FixDrains(Stage):
     def _write(self, context: Context, part: Part, holes: list[dict[str, Any]]) -> None:
         from PIL import Image
 
-        from sppm_pipeline.features.printing.print_pictures import drains_sheet
         from sppm_pipeline.method.part.primitive_meshes import cylinder_mesh
         from sppm_pipeline.services.formats import stl
 
         folder = context.output(self.report)
         folder.mkdir()
         (folder / "drains.json").write_text(json.dumps({"drains": holes}, indent=1) + "\n", encoding="utf-8")
-        vertices: list[NDArray[np.float64]] = []
-        faces: list[NDArray[np.int32]] = []
+        vertices: list[F64] = []
+        faces: list[I32] = []
         for hole in holes:
             a, b = np.array(hole["capsule"][:3]), np.array(hole["capsule"][3:6])
             points, triangles = cylinder_mesh((0.0, 0.0, 0.0), hole["diameter_mm"] / 2, float(np.linalg.norm(b - a)))
@@ -232,7 +235,7 @@ def _place(traps: Any, which: int) -> tuple[int, int, int]:
     return int(z), int(y), int(x)
 
 
-def _frame(along: NDArray[np.float64]) -> NDArray[np.float64]:
+def _frame(along: F64) -> F64:
     """Rows: three directions at right angles, the last one along a vector."""
     z = along / np.linalg.norm(along)
     x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])

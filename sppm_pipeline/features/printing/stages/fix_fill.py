@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import Context, Headline, Length, Palette, Part, ResourceError, Size, Stage, option, options
 from sppm_pipeline.features.printing.print_report import rounded
 from sppm_pipeline.method.part.part import coarse_size
+from sppm_pipeline.services.arrays import F64, I32
 from sppm_pipeline.services.grid import Grid
 
 MAX_VOXELS = 2**27
@@ -88,7 +89,7 @@ class FixFill(Stage):
         self._write(context, found.places, found.sizes * voxel, world)
         return made
 
-    def _write(self, context: Context, places: NDArray[np.int32], volumes: NDArray[np.floating], world: Grid) -> None:
+    def _write(self, context: Context, places: I32, volumes: NDArray[np.floating], world: Grid) -> None:
         at = np.array(world.origin) + places[:MAX_LISTED, ::-1] * world.spacing
         fills: list[dict[str, Any]] = [
             {"place_mm": rounded(place), "volume_mm3": float(f"{volume:.6g}")}
@@ -99,7 +100,7 @@ class FixFill(Stage):
         (folder / "fills.json").write_text(json.dumps({"fills": fills}, indent=1) + "\n", encoding="utf-8")
 
 
-def _balls(world: Grid, runs: NDArray[np.int32]) -> NDArray[np.float64]:
+def _balls(world: Grid, runs: I32) -> F64:
     """A capsule for each run of voxels, (m, 7)."""
     first = np.array(world.origin) + runs[:, [2, 1, 0]] * world.spacing
     last = np.array(world.origin) + runs[:, [3, 1, 0]] * world.spacing

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline import SliceStack, options
 from sppm_pipeline.features.printing.printer_writer import Place, PrinterWriter
 from sppm_pipeline.method.families.layer_writer import EncodedLayers
 from sppm_pipeline.method.nouns.printer import Printer
+from sppm_pipeline.services.arrays import U8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +27,12 @@ class WriteNanodlp(PrinterWriter):
 
     path: str = options.write_path("part.zip", suffixes=(".zip",))
 
-    def encode_placed(self, block: NDArray[np.uint8], place: Place, printer: Printer) -> bytes:
+    def encode_placed(self, block: U8, place: Place, printer: Printer) -> bytes:
         from sppm_pipeline.services.formats.png import encode_layer
 
         return encode_layer(place.filled(block), bits=8, subpixels=printer.subpixels)
 
     def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
-        from sppm_pipeline.features.printing.formats.sl1 import write_archive
+        from sppm_pipeline.features.printing.stages.write_sl1 import write_archive
 
         write_archive(target, ((f"{number}.png", data) for number, data in enumerate(layers, 1)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +25,129 @@ from sppm_pipeline import (
     option,
     options,
 )
-from sppm_pipeline.features.sheet.sheet_field import SheetField, SheetMicrostructure
-from sppm_pipeline.method.fields.microstructure import pieces_from_graph
+from sppm_pipeline.features.sheet.numerics.waves import Waves, relaxed, sum_of_waves, two_networks
+from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays
+from sppm_pipeline.method.assembly.gather import Catalog, make_catalog, sample_exact
+from sppm_pipeline.method.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph, sampling_tables
+from sppm_pipeline.nouns import FormulaField
+from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.numerics import Grid, cell_centers, phase_report
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.mesh.rotation import rotation
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SheetField(FormulaField):
+    """Solid where a sum f of waves lies within a half width of the value in the middle of the sheet."""
+
+    reported: ClassVar[tuple[str, ...]] = ("waves", "middle", "half_width", "thinnest_wall")
+
+    waves: Waves  # of f, whose variance is 1
+    middle: float  # value of f
+    half_width: float  # of f
+    slope: float  # length of the gradient of f that nine tenths of the sheet do not exceed, 1 / cell size
+
+    def evaluate(self, x: F64, y: F64, z: F64) -> NDArray[np.floating]:
+        values = sum_of_waves(self.waves, x.reshape(-1), y.reshape(-1), z.reshape(-1))
+        values -= self.middle
+        np.abs(values, out=values)
+        values -= self.half_width
+        return values
+
+    def cut_at(self, value: float) -> SheetField:
+        return replace(self, half_width=self.half_width + value)
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        # where f is steepest the sheet is thin
+        return 2 * self.half_width / self.slope if self.half_width > 0 else None
+
+    def summary(self) -> dict[str, Any]:
+        """Number of waves, the values between which there is solid, and the thickness of the thinnest tenth."""
+        there = (self.waves.real != 0) | (self.waves.imaginary != 0)
+        return {
+            "waves": int(np.count_nonzero(there)),
+            "middle": self.middle,
+            "half_width": self.half_width,
+            "thinnest_wall": self.thinnest_wall,
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SheetMicrostructure(Microstructure):
+    """Solid where the kernel sums of pores of two colors nearly balance, for blocks of scattered pores.
+
+    ``|G_1 - G_2 - middle|`` takes the place of the kernel sum G of other microstructures, and the level is the half
+    width of the sheet in its values.
+    """
+
+    reported: ClassVar[tuple[str, ...]] = (*Microstructure.reported, "middle", "thinnest_wall")
+    counted: ClassVar[bool] = False
+    is_sum: ClassVar[bool] = False  # it has a crease in its middle
+
+    colors_of_pores: NDArray[np.int8]  # 1 or -1 of each kernel, in the order of `pieces`
+    middle: float
+    slope: float  # of G_1 - G_2, as in `SheetField`
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "colors_of_pores", frozen(np.asarray(self.colors_of_pores, np.int8)))
+
+    def check(self) -> None:
+        """A color for every pore."""
+        super().check()
+        if self.colors_of_pores.shape != self.pieces.kernels.omega.shape or (abs(self.colors_of_pores) != 1).any():
+            raise ValueError("every pore of a sheet has the color 1 or -1")
+
+    @property
+    def finest_radius(self) -> None:
+        return None
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        return 2 * self.level / self.slope if self.slope > 0 else None
+
+    def laid_differences(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None
+    ) -> F32:
+        """The difference of the kernel sums of both colors in some layers of a layout, (stop - start, ny, nx)."""
+        sums = [
+            sample_exact(pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog).T
+            for pieces, catalog in self._networks()
+        ]
+        return np.asarray(sums[0] - sums[1])
+
+    def laid_sums(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None
+    ) -> F32:
+        """Half width of the sheet from which on each sample of a layout is solid."""
+        values = self.laid_differences(arrays, grid, start, stop, threads, wanted)
+        values -= np.float32(self.middle)
+        return np.abs(values, out=values)
+
+    def _networks(self) -> list[tuple[Pieces, Catalog]]:
+        """The pieces of both colors with their catalogs, made once for all levels."""
+        tables = sampling_tables(self.pieces)
+        if "networks" not in tables:
+            tables["networks"] = [
+                (pieces, make_catalog(pieces, CUTOFF)) for pieces in (self._of_color(1), self._of_color(-1))
+            ]
+        found: list[tuple[Pieces, Catalog]] = tables["networks"]
+        return found
+
+    def _of_color(self, color: int) -> Pieces:
+        own = self.colors_of_pores == color
+        before = np.concatenate([[0], np.cumsum(own)])
+        return replace(
+            self.pieces,
+            kernels=self.pieces.kernels.taken(own, slice(None)),
+            first_pore=frozen(before[self.pieces.first_pore]),
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of pores, the values between which there is solid, and the thickness of the thinnest tenth."""
+        return {**super().summary(), "middle": self.middle, "thinnest_wall": self.thinnest_wall}
+
 
 PERIOD = 1.52
 """Period of the sheets, in mean distances of pores: the two networks are as far apart as the pores of both colors."""
@@ -109,8 +227,6 @@ class SheetStage(Stage):
 
     def run(self, context: Context, pores: PoreSet) -> ScalarField:
         """Color the pores, relax the field between them, and cut it."""
-        from sppm_pipeline.features.sheet.numerics.coloring import two_networks
-        from sppm_pipeline.features.sheet.numerics.waves import relaxed
         from sppm_pipeline.method.connecting.candidates import candidate_graph
         from sppm_pipeline.method.sampling.graded_blocks import at_nodes
 
@@ -168,7 +284,7 @@ class SheetStage(Stage):
         graph = TunnelGraph(pores, np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64))
         plain = KERNEL * (PERIOD / period) ** 2
 
-        def made(omega: NDArray[np.float64]) -> SheetMicrostructure:
+        def made(omega: F64) -> SheetMicrostructure:
             pieces = pieces_from_graph(graph, omega, np.zeros(0), "linear")
             return SheetMicrostructure(pores.cell, graph, pieces, 1.0, colors_of_pores=colors, middle=0.0, slope=0.0)
 
@@ -188,7 +304,7 @@ class SheetStage(Stage):
         middle, level, slope = self._cut(np.stack(samples), np.stack(slopes))
         return replace(made(np.full(len(colors), plain)), level=level, middle=middle, slope=slope)
 
-    def _metric(self) -> NDArray[np.float64]:
+    def _metric(self) -> F64:
         """The matrix (3, 3) by which the structure is stretched, of determinant 1."""
         lengths = np.array([1.0, *self.stretch])
         return np.asarray(rotation(self.turn) * (lengths / lengths.prod() ** (1 / 3)))
@@ -206,15 +322,9 @@ class SheetStage(Stage):
         return period
 
     def _networks(self, field: SheetField, resolution: int) -> dict[str, object]:
-        """Shares of the volume in both networks, and how many pockets there are.
-
-        Raises
-        ------
-        DesignError
-            If one of them is closed along an axis.
+        """Shares of the volume in both networks, and how many pockets there are; `DesignError` if one of them is closed
+        along an axis.
         """
-        from sppm_pipeline.features.sheet.numerics.waves import sum_of_waves
-
         grid = cell_centers(resolution, (1, 1, 1))
         x, y, z = (grid.axis(axis) for axis in range(3))
         sides = sum_of_waves(field.waves, x, y, z).T - field.middle

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I16
 from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.services.elastic.voigt import from_lame
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace
@@ -47,11 +48,11 @@ class Homogenized(NamedTuple):
         Periodic displacements (3 nz ny nx,) int16 of each load case in steps of a float, if they were requested.
     """
 
-    stiffness: NDArray[np.float64]
+    stiffness: F64
     solved: tuple[Solved, ...]
     precision: str
-    expansion: NDArray[np.float64] | None = None
-    fields: tuple[tuple[NDArray[np.int16], float], ...] = ()
+    expansion: F64 | None = None
+    fields: tuple[tuple[I16, float], ...] = ()
 
 
 def stiffness(
@@ -121,7 +122,7 @@ class ElasticBody(NamedTuple):
     """
 
     finest: ElasticLevel | None
-    mean: NDArray[np.float64]
+    mean: F64
     scale: float
     dtype: np.dtype[Any]
 
@@ -215,7 +216,7 @@ class MutualEnergies:
         level = hierarchy.levels[0]
         assert isinstance(level, ElasticLevel)
         self.level = level
-        self.kept: list[tuple[NDArray[np.int16], float] | None] = [None] * (6 if last else 5)
+        self.kept: list[tuple[I16, float] | None] = [None] * (6 if last else 5)
         self.matrix = np.zeros((6, 6))
         #: mean stresses of the cases, a row for each
         self.held = np.zeros((6, 6))
@@ -253,6 +254,6 @@ class MutualEnergies:
             level.pressure_forces(self.stress, spare)
             self.heat[case] += dot(spare, u) / volume
 
-    def energies(self, threads: int) -> NDArray[np.float64]:
+    def energies(self, threads: int) -> F64:
         """Mutual energies over the volume, (6, 6)."""
         return self.matrix

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
+
 _REST = 0.25
 """Relative error of a member one voxel thick that extrapolation may leave. The least that covers the 40 cases of
 benchmarks/partial_voxels.py is 0.241; half of it misses three of them, twice only widens the bars."""
@@ -42,21 +44,19 @@ class Limit(NamedTuple):
         False if the grids are too coarse to extrapolate; then the value is that of the finest.
     """
 
-    value: NDArray[np.float64]
-    error: NDArray[np.float64]
+    value: F64
+    error: F64
     extrapolated: bool
 
 
-def second_order(spacings: list[float], values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def second_order(spacings: list[float], values: list[F64]) -> F64:
     """The limit at spacing 0 of the parabola ``a + b h^2`` through the values of all grids, by least squares."""
     squares = np.square(np.asarray(spacings, np.float64) / max(spacings))
     weights = np.linalg.pinv(np.stack([np.ones_like(squares), squares], axis=1))[0]
     return np.asarray(np.tensordot(weights, np.asarray(values, np.float64), 1), np.float64)
 
 
-def limit_of_grids(
-    spacings: list[float], values: list[NDArray[np.float64]], thickness: float, contrast: float = 1.0
-) -> Limit:
+def limit_of_grids(spacings: list[float], values: list[F64], thickness: float, contrast: float = 1.0) -> Limit:
     """Extrapolate the stiffness to infinitely fine grids, the finest first.
 
     Parameters

@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
-from sppm_pipeline.features.stiffness.numerics.refinement import (
-    Limit,
-    limit_of_grids,
-    mean_thickness,
-    second_order,
-)
+from sppm_pipeline.features.stiffness.numerics.refinement import Limit, limit_of_grids, mean_thickness, second_order
 from sppm_pipeline.method.families.homogenizer import LOCKING, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.multigrid.transfer import coarsened
 
 if TYPE_CHECKING:
@@ -182,7 +178,7 @@ class ElasticHomogenizer(ElasticCell):
         return result
 
     @staticmethod
-    def _free_strain(report: StiffnessReport, limit: Limit, held: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _free_strain(report: StiffnessReport, limit: Limit, held: F64) -> F64 | None:
         """Thermal expansion from extrapolated stresses, in which Levin's relation to the stiffness is linear."""
         if report.expansion is None or not limit.extrapolated:
             return report.expansion
@@ -294,7 +290,7 @@ def _loaded(cell: VoxelCell) -> VoxelCell:
     return cell if cell.fraction is None else cell._replace(fraction=stiff_share(cell.fraction))
 
 
-def _held_stress(stiffness: NDArray[np.float64], expansion: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _held_stress(stiffness: F64, expansion: F64 | None) -> F64:
     """Stress of a clamped cell per kelvin, 0 where nothing carries load."""
     return np.zeros(6) if expansion is None else stiffness @ np.nan_to_num(expansion)
 

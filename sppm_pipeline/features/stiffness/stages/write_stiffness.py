@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Stage, option, options
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.services.arrays import F64, I32, U8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +84,7 @@ def _error_bars(report: StiffnessReport) -> list[str]:
     ]
 
 
-def young_picture(
-    surface: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    young: NDArray[np.float64],
-    unit: str | None,
-    size: tuple[int, int],
-) -> NDArray[np.uint8]:
+def young_picture(surface: F64, faces: I32, young: F64, unit: str | None, size: tuple[int, int]) -> U8:
     """The surface of moduli in color, with the directions of the axes and a scale beside it."""
     from sppm_pipeline.services.pictures.camera import Camera, framed
     from sppm_pipeline.services.pictures.mesh_view import render_mesh

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.surface.numerics.placing import DOMAIN
+from sppm_pipeline.services.arrays import F32, F64, I32, U8
 from sppm_pipeline.services.jit.compiled import jit
 
 AT_ONCE = 64
@@ -26,10 +26,7 @@ SIDES = np.uint8(63)
 
 
 @jit
-def find_corners(
-    faces: NDArray[np.int32], f: int, base: int, vertices: NDArray[np.float64], points: NDArray[np.float64],
-    corners: NDArray[np.float64],
-) -> bool:  # fmt: skip
+def find_corners(faces: I32, f: int, base: int, vertices: F64, points: F64, corners: F64) -> bool:
     """Write the corners of a triangle into `corners` (3, 3); return whether one of them is on a rim."""
     on_rim = False
     for c in range(3):
@@ -45,10 +42,7 @@ def find_corners(
 
 
 @jit
-def add_normals(
-    vertices: NDArray[np.float64], places: NDArray[np.uint8], normals: NDArray[np.float32], points: NDArray[np.float64],
-    faces: NDArray[np.int32], base: int, scale: float,
-) -> None:  # fmt: skip
+def add_normals(vertices: F64, places: U8, normals: F32, points: F64, faces: I32, base: int, scale: float) -> None:
     corners, begin, lanes = np.empty((3, 3)), np.uint64(base), np.uint64(AT_ONCE)
     ids, sides, out = np.empty(3 * AT_ONCE, np.uint64), np.empty(6 * AT_ONCE), np.empty(9 * AT_ONCE, np.float32)
     f = int(np.int64(0))
@@ -93,7 +87,7 @@ def add_normals(
 
 
 @jit
-def _weigh_normals(sides: NDArray[np.float64], n: np.uint64, scale: float, out: NDArray[np.float32]) -> None:
+def _weigh_normals(sides: F64, n: np.uint64, scale: float, out: F32) -> None:
     """Of two sides of each of n triangles, what they add to the normals of their corners."""
     lanes, nothing = np.uint64(AT_ONCE), np.float32(0.0)
     for i in range(n):
@@ -118,7 +112,7 @@ def _weigh_normals(sides: NDArray[np.float64], n: np.uint64, scale: float, out: 
 
 
 @jit
-def to_unit_length(normals: NDArray[np.float32]) -> None:
+def to_unit_length(normals: F32) -> None:
     for v in range(normals.shape[0]):
         length2 = normals[v, 0] * normals[v, 0] + normals[v, 1] * normals[v, 1] + normals[v, 2] * normals[v, 2]
         if length2 > np.float32(0.0):
@@ -129,9 +123,8 @@ def to_unit_length(normals: NDArray[np.float32]) -> None:
 
 @jit
 def add_rises(
-    vertices: NDArray[np.float64], places: NDArray[np.uint8], normals: NDArray[np.float32], rise: NDArray[np.float32],
-    share: NDArray[np.float32], room: NDArray[np.float32], points: NDArray[np.float64], faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8], base: int,
+    vertices: F64, places: U8, normals: F32, rise: F32, share: F32, room: F32, points: F64, faces: I32, kinds: U8,
+    base: int,
 ) -> None:  # fmt: skip
     """Add up what triangles rise, and find the shortest edges."""
     corners, turned, lengths2 = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
@@ -182,7 +175,7 @@ def add_rises(
 
 
 @jit
-def _find_rises(sides: NDArray[np.float64], ends: NDArray[np.float32], n: np.uint64, out: NDArray[np.float32]) -> None:
+def _find_rises(sides: F64, ends: F32, n: np.uint64, out: F32) -> None:
     """Rises of n triangles times their areas, twice their areas, and their squared sides, of sides and normals."""
     lanes = np.uint64(AT_ONCE)
     for i in range(n):
@@ -206,9 +199,8 @@ def _find_rises(sides: NDArray[np.float64], ends: NDArray[np.float32], n: np.uin
 
 @jit
 def _add_rise_at_rim(
-    normals: NDArray[np.float32], rise: NDArray[np.float32], share: NDArray[np.float32], room: NDArray[np.float32],
-    faces: NDArray[np.int32], f: int, base: int, corners: NDArray[np.float64], turned: NDArray[np.float64],
-    lengths2: NDArray[np.float64],
+    normals: F32, rise: F32, share: F32, room: F32, faces: I32, f: int, base: int, corners: F64, turned: F64,
+    lengths2: F64,
 ) -> None:  # fmt: skip
     """`add_rises` for a triangle with a corner on a rim; the last two are room to work in."""
     movable = 0

@@ -15,9 +15,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.part.crossings import NO_CROSSINGS, Crossings
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
@@ -37,22 +37,22 @@ class Samples(NamedTuple):
 
     grid: Grid  # all planes
     start: int  # number of the first plane in the arrays
-    field: NDArray[np.float32]  # (planes, ny, nx), the microstructure, negative in the solid
-    domain: NDArray[np.float32]  # as field or empty: distance, negative inside, in the unit of the grid
-    skin: NDArray[np.float32]  # as domain
+    field: F32  # (planes, ny, nx), the microstructure, negative in the solid
+    domain: F32  # as field or empty: distance, negative inside, in the unit of the grid
+    skin: F32  # as domain
     crossings: Crossings = NO_CROSSINGS  # of the domain with the edges between these planes
 
 
 class Placed(NamedTuple):
     """Places of vertices."""
 
-    vertices: NDArray[np.float64]  # (n, 3)
-    edge: NDArray[np.int64]  # (n,), the grid edge, numbered as in `Crossings`; -1 for vertices of caps
-    on: NDArray[np.uint8]  # (n,), FIELD, DOMAIN, SKIN or BORDER
-    triangle: NDArray[np.int32]  # (n,), of the domain; -1 where the vertex lies on none
+    vertices: F64  # (n, 3)
+    edge: I64  # (n,), the grid edge, numbered as in `Crossings`; -1 for vertices of caps
+    on: U8  # (n,), FIELD, DOMAIN, SKIN or BORDER
+    triangle: I32  # (n,), of the domain; -1 where the vertex lies on none
 
 
-def place_vertices(vertices: NDArray[np.float64], samples: Samples) -> Placed:
+def place_vertices(vertices: F64, samples: Samples) -> Placed:
     """Move vertices (n, 3) of marching cubes, in place, along their grid edges to the zeros of the fields.
 
     They are those for the field, for ``max(field, domain)``, or with a skin for ``max(min(field, skin), domain)``.
@@ -69,7 +69,7 @@ def place_vertices(vertices: NDArray[np.float64], samples: Samples) -> Placed:
 
 
 @jit
-def first_place(keys: NDArray[np.int64], key: int) -> int:
+def first_place(keys: I64, key: int) -> int:
     """The first place in sorted keys that is not below one; NumPy's compiles for half a second."""
     low, high = int(np.int64(0)), len(keys)
     while low < high:
@@ -90,7 +90,7 @@ def cubic(a: float, b: float, c: float, d: float, t: float) -> float:
 
 
 @jit
-def sample_line(values: NDArray[np.float32], k: int, j: int, i: int, axis: int, line: NDArray[np.float64]) -> None:
+def sample_line(values: F32, k: int, j: int, i: int, axis: int, line: F64) -> None:
     """Four samples in a row, from one before (k, j, i); at the border a parabola is continued."""
     at = (i, j, k)[axis]
     n = values.shape[2 - axis]
@@ -109,7 +109,7 @@ def sample_line(values: NDArray[np.float32], k: int, j: int, i: int, axis: int, 
 
 
 @jit
-def _cubic_zeros(work: NDArray[np.float64], n: int) -> None:
+def _cubic_zeros(work: F64, n: int) -> None:
     """Zeros of cubics that have the values a, b, c, d at -1, 0, 1, 2, between b and c, which differ in sign.
 
     `work` holds a, b, c and d of up to `_AT_ONCE` cubics, one row behind the other, and gets the zeros in the row that
@@ -155,9 +155,8 @@ def _cubic_zeros(work: NDArray[np.float64], n: int) -> None:
 
 @jit
 def _look_up(
-    vertices: NDArray[np.float64], first: int, stop: int, field: NDArray[np.float32], flat: NDArray[np.float32],
-    domain: NDArray[np.float32], skin: NDArray[np.float32], origin: NDArray[np.float64], a_node: NDArray[np.float64],
-    steps: NDArray[np.int64], start: int, held: NDArray[np.int64], work: NDArray[np.float64],
+    vertices: F64, first: int, stop: int, field: F32, flat: F32, domain: F32, skin: F32, origin: F64, a_node: F64,
+    steps: I64, start: int, held: I64, work: F64,
 ) -> int:  # fmt: skip
     """Find the grid edges of some vertices, and the cubics along them; returns how many of these there are.
 
@@ -214,10 +213,8 @@ def _look_up(
 
 @jit
 def _place(
-    vertices: NDArray[np.float64], edge: NDArray[np.int64], on: NDArray[np.uint8], triangle: NDArray[np.int32],
-    field: NDArray[np.float32], domain: NDArray[np.float32], skin: NDArray[np.float32], origin: NDArray[np.float64],
-    spacing: NDArray[np.float64], shape: NDArray[np.int64], crossed: NDArray[np.int64], shares: NDArray[np.float64],
-    owners: NDArray[np.int32],
+    vertices: F64, edge: I64, on: U8, triangle: I32, field: F32, domain: F32, skin: F32, origin: F64, spacing: F64,
+    shape: I64, crossed: I64, shares: F64, owners: I32,
 ) -> None:  # fmt: skip
     flat, steps = field.ravel(), np.array([1, field.shape[2], field.shape[2] * field.shape[1]])
     work, held, a_node = np.empty(11 * _AT_ONCE), np.empty((_AT_ONCE, 6), np.int64), 1.0 / spacing
@@ -272,9 +269,7 @@ def _place(
 
 
 @jit
-def put_rescaled(
-    vertices: NDArray[np.float64], scale: float, origin: NDArray[np.float64], out: NDArray[np.float64]
-) -> None:
+def put_rescaled(vertices: F64, scale: float, origin: F64, out: F64) -> None:
     """``vertices * scale + origin`` into `out`, both (n, 3), without the memory of a step between."""
     for v in range(vertices.shape[0]):
         for axis in range(3):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 
 @jit
-def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> float:
+def _area(a: F64, b: F64, c: F64) -> float:
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -19,10 +19,7 @@ def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
 
 
 @jit
-def fans_from_ends(
-    part: NDArray[np.int64], length: int, single: bool, places: NDArray[np.float64], masks: NDArray[np.int64],
-    made: int, triangles: NDArray[np.int64],
-) -> int:  # fmt: skip
+def fans_from_ends(part: I64, length: int, single: bool, places: F64, masks: I64, made: int, triangles: I64) -> int:
     """Triangles of a polygon, each with its first or last corner, of least area, none with a diagonal in a face.
 
     `part`, (length,), are corners as rows of `places` and of `masks` (the faces of the cube on which they lie). If
@@ -54,7 +51,7 @@ def fans_from_ends(
 
 
 @jit
-def _volume(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], d: NDArray[np.float64]) -> float:
+def _volume(a: F64, b: F64, c: F64, d: F64) -> float:
     """Six times the signed volume of a tetrahedron."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -63,7 +60,7 @@ def _volume(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float6
 
 
 @jit
-def crossing(triangles: NDArray[np.int64], count: int, places: NDArray[np.float64]) -> bool:
+def crossing(triangles: I64, count: int, places: F64) -> bool:
     """Test whether a side of one of the triangles, whose corners are rows of `places`, passes through another one."""
     for t in range(count):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -85,13 +82,7 @@ def crossing(triangles: NDArray[np.int64], count: int, places: NDArray[np.float6
 
 
 @jit
-def nearest_to_all(
-    count: int,
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-) -> None:
+def nearest_to_all(count: int, points: F64, normals: F64, middle: F64, spacing: F64) -> None:
     """Move `middle` to the point nearest to some planes, in the sense of least squares (Kobbelt et al. 2001)."""
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for r in range(count):
@@ -126,7 +117,7 @@ def nearest_to_all(
 
 
 @jit
-def mean_slope(values: NDArray[np.float32], i: int, j: int, k: int, a: int) -> float:
+def mean_slope(values: F32, i: int, j: int, k: int, a: int) -> float:
     """Mean difference of samples along an axis of a cube, times 4."""
     slope = 0.0
     for c in range(4):

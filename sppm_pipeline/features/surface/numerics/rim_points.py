@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.surface.numerics.placing import DOMAIN, FIELD, Placed, cubic, first_place, sample_line
+from sppm_pipeline.services.arrays import F32, F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
 
@@ -25,21 +25,21 @@ are smooth. At half the angle facets of coarse meshes get rims of their own, at 
 class Surfaces(NamedTuple):
     """Surfaces that meet in a part, as compiled code takes them; see `placing.Samples` and `crossings.Crossings`."""
 
-    field: NDArray[np.float32]  # (planes, ny, nx), as domain and skin
-    domain: NDArray[np.float32]
-    skin: NDArray[np.float32]
-    origin: NDArray[np.float64]
-    spacing: NDArray[np.float64]
-    shape: NDArray[np.int64]  # (4,), nodes along x, y, z, and the first plane of the samples
-    crossed: NDArray[np.int64]  # edges of the grid that triangles of the domain pierce
-    shares: NDArray[np.float64]  # where they are pierced, as fractions of the edge
-    owners: NDArray[np.int32]  # by which triangle
-    normals: NDArray[np.float64]  # of all triangles
-    planes: NDArray[np.float64]  # (256, 6, 3, 4), `marching_tables.separations`
+    field: F32  # (planes, ny, nx), as domain and skin
+    domain: F32
+    skin: F32
+    origin: F64
+    spacing: F64
+    shape: I64  # (4,), nodes along x, y, z, and the first plane of the samples
+    crossed: I64  # edges of the grid that triangles of the domain pierce
+    shares: F64  # where they are pierced, as fractions of the edge
+    owners: I32  # by which triangle
+    normals: F64  # of all triangles
+    planes: F64  # (256, 6, 3, 4), `marching_tables.separations`
 
 
 @jit
-def _patch(values: NDArray[np.float32], k: int, j: int, i: int, b: int, c: int, patch: NDArray[np.float64]) -> None:
+def _patch(values: F32, k: int, j: int, i: int, b: int, c: int, patch: F64) -> None:
     """The 4 x 4 samples around the face at node (k, j, i) that axes b and c span, rows along b."""
     n = values.shape[2 - c]
     at = (i, j, k)[c]
@@ -54,7 +54,7 @@ def _patch(values: NDArray[np.float32], k: int, j: int, i: int, b: int, c: int, 
 
 
 @jit
-def _bicubic(patch: NDArray[np.float64], u: float, v: float) -> float:
+def _bicubic(patch: F64, u: float, v: float) -> float:
     """Value at a place (u, v) in the middle of a patch, by the bicubic through its samples."""
     rows = (
         cubic(patch[0, 0], patch[0, 1], patch[0, 2], patch[0, 3], u),
@@ -66,7 +66,7 @@ def _bicubic(patch: NDArray[np.float64], u: float, v: float) -> float:
 
 
 @jit
-def edge_node(edge: int, nx: int, ny: int, node: NDArray[np.int64]) -> int:
+def edge_node(edge: int, nx: int, ny: int, node: I64) -> int:
     """The node at which a grid edge begins, into `node`, and its axis."""
     place = edge // 3
     node[0], node[1], node[2] = place % nx, place // nx % ny, place // nx // ny
@@ -82,7 +82,7 @@ def _solid(surfaces: Surfaces, i: int, j: int, k: int) -> bool:
 
 
 @jit
-def _case_of_cube(cube: NDArray[np.int64], surfaces: Surfaces) -> int:
+def _case_of_cube(cube: I64, surfaces: Surfaces) -> int:
     """The case of marching cubes; 0 outside of the grid."""
     for a in range(3):
         if cube[a] < 0 or cube[a] + 1 >= surfaces.shape[a]:
@@ -95,7 +95,7 @@ def _case_of_cube(cube: NDArray[np.int64], surfaces: Surfaces) -> int:
 
 
 @jit
-def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: float) -> bool:
+def _apart(planes: F64, axis: int, side: float, p: float, q: float) -> bool:
     """Test whether a place (p, q) in a face of the unit cube keeps apart what its `separations` (3, 4) keep apart."""
     for plane in range(3):
         a, b, c = planes[plane, axis], planes[plane, (axis + 1) % 3], planes[plane, (axis + 2) % 3]
@@ -105,7 +105,7 @@ def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: flo
 
 
 @jit
-def _passed_twice(corner: NDArray[np.int64], p: int, q: int, surfaces: Surfaces) -> bool:
+def _passed_twice(corner: I64, p: int, q: int, surfaces: Surfaces) -> bool:
     """Test whether the surface crosses all four sides of the face at a node that axes p and q span."""
     case = 0
     at = corner.copy()
@@ -119,11 +119,7 @@ def _passed_twice(corner: NDArray[np.int64], p: int, q: int, surfaces: Surfaces)
 
 @jit
 def _lost_beyond(
-    patch: NDArray[np.float64],
-    vertex: tuple[float, float],
-    start: tuple[float, float],
-    end: tuple[float, float],
-    at_end: float,
+    patch: F64, vertex: tuple[float, float], start: tuple[float, float], end: tuple[float, float], at_end: float
 ) -> float:
     """Area in a face between a surface and the rim it really reaches, which lies beyond the end of the face.
 
@@ -144,7 +140,7 @@ def _lost_beyond(
 
 
 @jit
-def _across(surfaces: Surfaces, corner: NDArray[np.int64], normal: NDArray[np.float64], flat: int) -> float:
+def _across(surfaces: Surfaces, corner: I64, normal: F64, flat: int) -> float:
     """The square of the cosine between a face's normal and the rim on it, where a plane meets the field."""
     i, j, k = corner[0], corner[1], corner[2] - surfaces.shape[3]
     i, j = min(i, surfaces.field.shape[2] - 2), min(j, surfaces.field.shape[1] - 2)
@@ -157,9 +153,7 @@ def _across(surfaces: Surfaces, corner: NDArray[np.int64], normal: NDArray[np.fl
 
 
 @jit
-def meeting_point(
-    a: int, b: int, cube: NDArray[np.int64], placed: Placed, surfaces: Surfaces, point: NDArray[np.float64]
-) -> int:
+def meeting_point(a: int, b: int, cube: I64, placed: Placed, surfaces: Surfaces, point: F64) -> int:
     """The point at which the surfaces of two vertices on one face of a cube meet, and that face; -1 if they do not.
 
     Nor do they where the surface passes through the face twice, or where polygons in one of both cubes at the face
@@ -317,7 +311,7 @@ def meeting_point(
 
 
 @jit
-def renumber_points(faces: NDArray[np.int32], numbers: NDArray[np.int64]) -> None:
+def renumber_points(faces: I32, numbers: I64) -> None:
     """Put -1 - numbers[p] in place of each -1 - p, in place."""
     for f in range(faces.shape[0]):
         for c in range(3):
@@ -326,7 +320,7 @@ def renumber_points(faces: NDArray[np.int32], numbers: NDArray[np.int64]) -> Non
 
 
 @jit
-def number_points(faces: NDArray[np.int32], first: int) -> None:
+def number_points(faces: I32, first: int) -> None:
     """Put vertex number first + p in place of each -1 - p, in place."""
     for f in range(faces.shape[0]):
         for c in range(3):

@@ -20,11 +20,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.surface.numerics.placing import DOMAIN, FIELD, SKIN, Placed, Samples
 from sppm_pipeline.features.surface.numerics.polygons import crossing, fans_from_ends, mean_slope, nearest_to_all
 from sppm_pipeline.features.surface.numerics.rim_points import SHARP, Surfaces, edge_node, meeting_point
+from sppm_pipeline.services.arrays import F64, I32, I64, U8, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import EDGE_MARGIN
 from sppm_pipeline.services.mesh.marching_tables import separations
@@ -37,27 +37,27 @@ _MAX_CORNERS = 48
 class Split(NamedTuple):
     """Triangles with sharp rims; numbers -1 - p in `faces` stand for points[p]."""
 
-    faces: NDArray[np.int32]  # (m, 3)
-    on: NDArray[np.uint8]  # (m,), what each triangle lies on
-    points: NDArray[np.float64]  # (n, 3)
-    keys: NDArray[np.int64]  # (n,); points with equal keys are one: each cube at a face has its own
+    faces: I32  # (m, 3)
+    on: U8  # (m,), what each triangle lies on
+    points: F64  # (n, 3)
+    keys: I64  # (n,); points with equal keys are one: each cube at a face has its own
     # (k,), vertices beside rims beyond which a volume is lost, one for each point of a cube where that is so
-    losers: NDArray[np.int32]
-    lost: NDArray[np.float64]  # (k,), these volumes, voxels
+    losers: I32
+    lost: F64  # (k,), these volumes, voxels
 
 
 class _Polygon(NamedTuple):
     """A polygon with its rim points, and the triangles it is cut into; rows of scratch."""
 
-    ids: NDArray[np.int64]  # (n,), vertices, or -1 - p for points[p]
-    masks: NDArray[np.int64]  # (n,), the faces of the cube on which each corner lies, as bits 2 * axis + side
-    places: NDArray[np.float64]  # (n, 3)
-    is_rim: NDArray[np.bool_]
-    triangles: NDArray[np.int64]  # (n, 3), corners as rows of the others
-    halves: NDArray[np.uint8]  # (n,), what each triangle lies on
+    ids: I64  # (n,), vertices, or -1 - p for points[p]
+    masks: I64  # (n,), the faces of the cube on which each corner lies, as bits 2 * axis + side
+    places: F64  # (n, 3)
+    is_rim: Bools
+    triangles: I64  # (n, 3), corners as rows of the others
+    halves: U8  # (n,), what each triangle lies on
 
 
-def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples) -> Split:
+def split_rims(faces: I32, first: int, placed: Placed, samples: Samples) -> Split:
     """Cut triangles where they pass from one surface to another.
 
     `faces`, (m, 3), are those of marching cubes, cube by cube; `placed` has all of their vertices, the first of them
@@ -87,10 +87,7 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
 
 
 @jit
-def _mixed(
-    faces: NDArray[np.int32], first: int, on: NDArray[np.uint8], triangle: NDArray[np.int32],
-    normals: NDArray[np.float64], mixed: NDArray[np.bool_],
-) -> int:  # fmt: skip
+def _mixed(faces: I32, first: int, on: U8, triangle: I32, normals: F64, mixed: Bools) -> int:
     """Mark the triangles whose corners lie on surfaces that meet at an edge; returns their number."""
     n = 0
     for f in range(faces.shape[0]):
@@ -108,10 +105,7 @@ def _mixed(
 
 
 @jit
-def _cube(
-    faces: NDArray[np.int32], f: int, first: int, edge: NDArray[np.int64], nx: int, ny: int, node: NDArray[np.int64],
-    cube: NDArray[np.int64],
-) -> None:  # fmt: skip
+def _cube(faces: I32, f: int, first: int, edge: I64, nx: int, ny: int, node: I64, cube: I64) -> None:
     """Low corner of the cube of a triangle, whose three grid edges always span it."""
     for c in range(3):
         edge_node(edge[faces[f, c] - first], nx, ny, node)
@@ -120,9 +114,7 @@ def _cube(
 
 
 @jit
-def _copied(
-    faces: NDArray[np.int32], start: int, stop: int, first: int, on: NDArray[np.uint8], out: Split, m: int
-) -> int:
+def _copied(faces: I32, start: int, stop: int, first: int, on: U8, out: Split, m: int) -> int:
     """Write triangles as they are from place m on; those with a corner on the domain belong to it."""
     for t in range(start, stop):
         out.on[m] = on[faces[t, 0] - first]
@@ -135,7 +127,7 @@ def _copied(
 
 
 @jit
-def _outline(faces: NDArray[np.int32], f: int, stop: int, starts: NDArray[np.int32], ends: NDArray[np.int32]) -> int:
+def _outline(faces: I32, f: int, stop: int, starts: I32, ends: I32) -> int:
     """Edges of triangles of a cube that have no partner, which are those of its polygons; returns their number."""
     count = int(np.int64(0))
     for t in range(f, stop):
@@ -156,7 +148,7 @@ def _outline(faces: NDArray[np.int32], f: int, stop: int, starts: NDArray[np.int
 
 
 @jit
-def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], first: int) -> int:
+def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: U8, first: int) -> int:
     """Cut a polygon with one or two rim points along the rim; returns the number of triangles, 0 if it can't be.
 
     The cut is the line from one point to the other; with a single point nothing is cut.
@@ -194,9 +186,8 @@ def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], 
 
 @jit
 def _move_to_corner(
-    polygon: _Polygon, size: int, cube: NDArray[np.int64], first: int, placed: Placed, surfaces: Surfaces,
-    point: NDArray[np.float64],
-) -> None:  # fmt: skip
+    polygon: _Polygon, size: int, cube: I64, first: int, placed: Placed, surfaces: Surfaces, point: F64
+) -> None:
     """Move the middle of a polygon to where its surfaces meet, if the domain has a sharp edge there.
 
     Elsewhere the middle of the rim points is on the rims, and within the domain.
@@ -234,9 +225,8 @@ def _move_to_corner(
 
 @jit
 def _split(
-    faces: NDArray[np.int32], mixed: NDArray[np.bool_], first: int, placed: Placed, surfaces: Surfaces,
-    polygon: _Polygon, out: Split,
-) -> tuple[int, int, int]:  # fmt: skip
+    faces: I32, mixed: Bools, first: int, placed: Placed, surfaces: Surfaces, polygon: _Polygon, out: Split
+) -> tuple[int, int, int]:
     """Write the triangles, rim points and losses, and return their numbers."""
     edge, on = placed.edge, placed.on
     origin, spacing, nx, ny = surfaces.origin, surfaces.spacing, surfaces.shape[0], surfaces.shape[1]

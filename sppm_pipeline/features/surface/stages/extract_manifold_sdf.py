@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -31,11 +30,19 @@ from sppm_pipeline.features.surface.field_surface import (
     on_torus,
     voxels_along_edge,
 )
-from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine, manifold_extract
+from sppm_pipeline.features.surface.solids import (
+    ManifoldLimits,
+    check_solid,
+    lattice_bytes,
+    lattice_samples,
+    manifold_combine,
+    manifold_extract,
+)
 from sppm_pipeline.method.part.part import node_grid
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
 
-Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+Mesh = tuple[F64, I32]
 
 TRIANGLES_RATIO = 1.75
 """Triangles over those of marching cubes at as many edges along an edge of the cell."""
@@ -84,8 +91,6 @@ class ManifoldSdf(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, check; in mm (cell sizes for a cell without a size)."""
-        from sppm_pipeline.features.surface.numerics.booleans import check_solid
-
         part = field if isinstance(field, Part) else None
         if part is not None:
             check_solid(part.domain.vertices, part.domain.faces, part.domain.name)
@@ -105,11 +110,8 @@ class ManifoldSdf(Stage):
             context.warn("the cell has no physical size: one cell size is written as 1 mm")
         return SurfaceMesh(*made, name="surface")
 
-    def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
+    def _level_set(self, context: Context, samples: F32, field: ScalarField, grid: Grid) -> Mesh:
         """The surface of one field, placed in the world and checked."""
-        from sppm_pipeline.features.surface.numerics.booleans import check_solid
-        from sppm_pipeline.features.surface.numerics.level_set import lattice_samples
-
         if not (samples < 0).any():
             raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
         scale = field.edge_mm if field.edge_mm is not None else 1.0
@@ -157,7 +159,7 @@ class ManifoldSdf(Stage):
         report_removal(context, removed, self.islands)
         return kept
 
-    def _samples(self, context: Context, field: ScalarField, grid: Grid) -> NDArray[np.float32]:
+    def _samples(self, context: Context, field: ScalarField, grid: Grid) -> F32:
         """The field on the grid of half the spacing; of a part without its domain, which a Boolean adds."""
         half = _half(grid)
         if not on_torus(field):
@@ -176,8 +178,6 @@ def _half(grid: Grid) -> Grid:
 
 
 def _check_memory(grid: Grid, n: int, limit: int | None) -> None:
-    from sppm_pipeline.features.surface.numerics.level_set import lattice_bytes
-
     nx, ny, nz = grid.shape
     require_memory(
         lattice_bytes(grid) + 40 * nx * ny * nz,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import mmap
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from pathlib import Path
+from typing import IO, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +35,175 @@ from sppm_pipeline.features.surface.field_surface import (
     expected_voxels,
     voxels_along_edge,
 )
-from sppm_pipeline.features.surface.mesh_store import MeshStore
 from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceWindow
 from sppm_pipeline.method.connectivity.removal import removal_warning
 from sppm_pipeline.method.nouns.mesh import PieceTaker
 from sppm_pipeline.method.part.part import islands_for, node_grid
+from sppm_pipeline.services.arrays import F32, F64, I32
+from sppm_pipeline.services.mesh.measures import add_sums, edge_balance, nothing_found, read_only
 
-if TYPE_CHECKING:
-    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
+_NO_RIMS = np.empty((0, 3))
+
+
+class StreamedMeasures:
+    """`box_and_volume` and `balanced_edges` of a mesh that comes in pieces, to the bit.
+
+    Vertices come scaled and moved; points on rims are taken times the scale and moved by the origin here.
+    """
+
+    def __init__(self, scale: float, origin: F64) -> None:
+        self._scale, self._origin = scale, origin
+        self._before, self._base = np.empty((0, 3)), 0
+        self._start: F64 | None = None
+        self._found, self._balance = nothing_found(), 0
+
+    def add(self, vertices: F64, faces: I32, rims: F64) -> None:
+        """Take the next piece: vertices (n, 3) that follow upon those before, faces (m, 3), points on rims (k, 3).
+
+        Corners lie in this piece and the one before; negative numbers -1 - p stand for rims[p].
+        """
+        both = np.concatenate([self._before, vertices])
+        self.add_window(both, self._base, faces, rims)
+        self._base += len(self._before)
+        self._before = both[len(self._before) :]
+
+    def add_window(self, both: F64, base: int, faces: I32, rims: F64 = _NO_RIMS) -> None:
+        """`add`, with the vertices of the piece before in front; the first of them has the number `base`."""
+        if len(faces):
+            if self._start is None:
+                v = int(faces[0, 0])
+                self._start = both[v - base].copy() if v >= 0 else rims[-1 - v] * self._scale + self._origin
+            numbered = read_only(faces)
+            given = read_only(both), base, numbered, read_only(rims), self._scale, self._origin
+            add_sums(*given, self._start, self._found)
+            # a sum of hashes of the edges with their directions, modulo the word it is kept in
+            self._balance = (self._balance + int(edge_balance(numbered))) % 2**64
+
+    @property
+    def balanced(self) -> bool:
+        """True if every edge runs as often in one direction as in the other; False without triangles."""
+        return self._start is not None and self._balance == 0
+
+    @property
+    def box_and_volume(self) -> tuple[F64, F64, float]:
+        """Low and high corner, (3,) each, and volume."""
+        return self._found[3:6].copy(), self._found[6:].copy(), float(self._found[0] / 6.0)
+
+
+_ROWS = 2**20  # of faces that are numbered at a time
+
+Arrays = tuple[F64, I32]
+
+
+class MeshStore:
+    """Takes vertices and faces as they come; a mesh beyond `limit` bytes goes into nameless files in `folder`.
+
+    The files vanish with it or with the process. Memory for the `expected` numbers of vertices and faces is reserved at
+    once, which is filled in less time. Vertices are stored times the scale, and moved by the origin.
+    """
+
+    def __init__(
+        self,
+        limit: int,
+        folder: Path,
+        expected: tuple[int, int] = (0, 0),
+        scale: float = 1.0,
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self._limit = limit
+        self._scale, self._origin = scale, np.array(origin)
+        self._folder = folder
+        fits = 24 * expected[0] + 12 * expected[1] <= limit
+        self._vertices = np.empty((expected[0] if fits else 0, 3))
+        self._faces = np.empty((expected[1] if fits else 0, 3), np.int32)
+        self._files: tuple[IO[bytes], IO[bytes]] | None = None
+        self._n = self._m = 0
+
+    def add(self, vertices: F64, faces: I32) -> F64:
+        """Append vertices (n, 3) and faces (m, 3); of the latter, negative ones -1 - p stand for points on rims.
+
+        Returns the vertices as they are stored, valid until the next ones come. ResourceError if the mesh has more
+        vertices than 32 bits count, OSError if the disk is full.
+        """
+        from sppm_pipeline.features.surface.numerics.placing import put_rescaled
+
+        n, m = self._n + len(vertices), self._m + len(faces)
+        if n > np.iinfo(np.int32).max:
+            raise ResourceError(
+                f"the surface has more than {np.iinfo(np.int32).max} vertices",
+                hint="sample the field more coarsely, or extract the part in pieces",
+            )
+        if self._files is None and 24 * n + 12 * m > self._limit:
+            self._move_to_files()
+        if self._files is not None:
+            stored = np.empty(vertices.shape)
+            put_rescaled(vertices, self._scale, self._origin, stored)
+            _write(self._files[0], stored)
+            _write(self._files[1], faces)
+        else:
+            # no other reference exists yet, whatever a debugger or a profiler counts
+            if n > len(self._vertices):
+                self._vertices.resize((n, 3), refcheck=False)
+            if m > len(self._faces):
+                self._faces.resize((m, 3), refcheck=False)
+            stored = self._vertices[self._n : n]
+            put_rescaled(vertices, self._scale, self._origin, stored)
+            self._faces[self._m : m] = faces
+        self._n, self._m = n, m
+        return stored
+
+    def finish(self, points: F64) -> Arrays:
+        """The mesh, with the points on rims behind the other vertices; read-only if it is in files."""
+        first = self._n
+        self.add(points, np.empty((0, 3), np.int32))
+        if self._files is None:
+            self._vertices.resize((self._n, 3), refcheck=False)
+            self._faces.resize((self._m, 3), refcheck=False)
+            if len(points):
+                from sppm_pipeline.features.surface.numerics.rim_points import number_points
+
+                number_points(self._faces, first)
+            return self._vertices, self._faces
+        if len(points):
+            self._number_in_file(first)
+        vertices, faces = (_mapped(file) for file in self._files)
+        return np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int32).reshape(-1, 3)
+
+    def _move_to_files(self) -> None:
+        self._files = tuple(  # type: ignore[assignment]
+            tempfile.TemporaryFile(prefix="sppm-mesh-", dir=self._folder)  # noqa: SIM115 - gone with the mapping
+            for _ in range(2)
+        )
+        assert self._files is not None
+        _write(self._files[0], self._vertices[: self._n])
+        _write(self._files[1], self._faces[: self._m])
+        self._vertices, self._faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
+
+    def _number_in_file(self, first: int) -> None:
+        from sppm_pipeline.features.surface.numerics.rim_points import number_points
+
+        assert self._files is not None
+        file = self._files[1]
+        for row in range(0, self._m, _ROWS):
+            file.seek(12 * row)
+            faces = np.frombuffer(file.read(12 * min(_ROWS, self._m - row)), np.int32).reshape(-1, 3).copy()
+            if (faces < 0).any():
+                number_points(faces, first)
+                file.seek(12 * row)
+                _write(file, faces)
+
+
+def _write(file: IO[bytes], rows: NDArray[Any]) -> None:
+    if rows.size:
+        file.write(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
+
+
+def _mapped(file: IO[bytes]) -> mmap.mmap:
+    file.flush()
+    mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    file.close()
+    return mapping
+
 
 MEMORY_SHARE = 4
 """A mesh larger than the memory limit over this number goes into temporary files, a heuristic: stages after it may hold
@@ -116,7 +280,7 @@ class MarchingCubes(Stage):
 class _Extracted(NamedTuple):
     """A mesh, or what is known of one that was given away in pieces."""
 
-    arrays: tuple[NDArray[np.float64], NDArray[np.int32]] | None
+    arrays: tuple[F64, I32] | None
     counts: tuple[int, int]
     measures: StreamedMeasures
     findings: dict[str, Any]
@@ -151,8 +315,6 @@ def _handed_on(
     pieces: MeshStream, readers: Sequence[PieceTaker], scale: float, origin: tuple[float, float, float]
 ) -> _Extracted | None:
     """Give away all pieces; None if a reader finds that the mesh is not as predicted."""
-    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
-
     measures, window = StreamedMeasures(scale, np.array(origin)), PieceWindow(scale, np.array(origin))
     faces = 0
     for piece in pieces:
@@ -168,8 +330,6 @@ def _handed_on(
 
 def _stored(stream: MeshStream, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
     """The whole mesh; one that takes more than a share of the memory lies in files."""
-    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
-
     measures = StreamedMeasures(scale, np.array(origin))
     store: MeshStore | None = None
     for piece in stream:
@@ -184,7 +344,6 @@ def _stored(stream: MeshStream, context: Context, scale: float, origin: tuple[fl
 def _by_reference(
     surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]
 ) -> _Extracted:
-    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
     from sppm_pipeline.features.surface.numerics.placing import Samples, place_vertices
     from sppm_pipeline.method.part.crossings import Crossings
 
@@ -211,11 +370,11 @@ def _by_reference(
 
 
 def marching_cubes_reference(
-    field: NDArray[np.float32],
+    field: F32,
     level: float = 0.0,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0),
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+) -> tuple[F64, I32]:
     """Isosurface of (nz, ny, nx) samples by scikit-image: vertices (n, 3), faces (m, 3), wound outwards.
 
     After Lewiner et al. (2003), independent of this program's own. Ambiguous faces are decided by the trilinear

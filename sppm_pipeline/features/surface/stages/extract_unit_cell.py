@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Context, DesignError, Palette, Part, ScalarField, Size, Stage, Tiling, options
 from sppm_pipeline.features.surface.field_surface import KEPT_SAMPLES
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
 from sppm_pipeline.method.fields.wrapped import RepeatedField
 from sppm_pipeline.method.nouns.mesh import RepeatedMesh
+from sppm_pipeline.services.arrays import I64
 
 _HINT = "lay one cell with `tile.periodic`, or mesh the whole with `extract.marching_cubes`"
 
@@ -46,7 +46,7 @@ class UnitCell(Stage):
         return RepeatedMesh(mesh, cells * np.float64(edge))
 
 
-def _unit_and_cells(field: ScalarField) -> tuple[ScalarField, NDArray[np.int64]]:
+def _unit_and_cells(field: ScalarField) -> tuple[ScalarField, I64]:
     """The periodic cell, and the indices (k, 3) of the cells of the lattice; DesignError if the cells differ."""
     if isinstance(field, Tiling):
         interior, planes, *_ = field.arrays.surrounded()

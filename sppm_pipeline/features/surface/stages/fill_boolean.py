@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -30,8 +29,9 @@ from sppm_pipeline.features.surface.field_surface import (
     expected_voxels,
     voxels_along_edge,
 )
-from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine
+from sppm_pipeline.features.surface.solids import ManifoldLimits, check_solid, manifold_combine
 from sppm_pipeline.method.part.part import node_grid
+from sppm_pipeline.services.arrays import F64, I32
 
 BOOLEAN_BYTES = 600
 """Bytes for each triangle that goes into a Boolean, its own arrays and those of the result included; measured."""
@@ -79,7 +79,6 @@ class BooleanFill(Stage):
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
         """Extract, predict the memory, intersect, check."""
-        from sppm_pipeline.features.surface.numerics.booleans import check_solid
         from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.method.connectivity.removal import report_removal
         from sppm_pipeline.services.mesh.measures import volume
@@ -137,7 +136,7 @@ def _without_overlaps(domain: SurfaceMesh, limits: ManifoldLimits) -> SurfaceMes
     if outer is None or abs(summed - outer.volume) <= OVERLAP * summed:
         return domain
     found = shells(domain.vertices, domain.faces)
-    united: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
+    united: tuple[F64, I32] | None = None
     # a hollow is smaller than the shell that it is in, and larger than a body within it
     for number in np.argsort(-np.abs(found.volumes), kind="stable"):
         faces = domain.faces[found.labels == number]

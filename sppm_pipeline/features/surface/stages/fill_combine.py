@@ -9,7 +9,7 @@ import numpy as np
 
 from sppm_pipeline import ConfigError, Context, Length, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.engine.process.budget import child_memory, require_memory
-from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine
+from sppm_pipeline.features.surface.solids import ManifoldLimits, check_solid, manifold_combine
 from sppm_pipeline.features.surface.stages.fill_boolean import BOOLEAN_BYTES
 
 ZERO = Length(0.0)
@@ -55,7 +55,6 @@ class Combine(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
-        from sppm_pipeline.features.surface.numerics.booleans import check_solid
         from sppm_pipeline.services.mesh.measures import volume
         from sppm_pipeline.services.mesh.rotation import rotated, rotation
 

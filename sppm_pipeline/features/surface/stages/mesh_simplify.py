@@ -5,18 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import (
-    Context,
-    DesignError,
-    Headline,
-    InputError,
-    Length,
-    Palette,
-    Size,
-    Stage,
-    SurfaceMesh,
-    option,
-)
+from sppm_pipeline import Context, DesignError, Headline, InputError, Length, Palette, Size, Stage, SurfaceMesh, option
 
 KEPT_SHARE = 0.25
 """Triangles that remain of a mesh of cubes, for the estimate: 0.15 to 0.4 at a fifth of a voxel."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 # Dunavant's quadrature of degree 4 on the triangle (Int. J. Numer. Meth. Eng. 21, 1985):
@@ -29,13 +29,11 @@ class FacePair(NamedTuple):
     """The triangles of a mesh on two opposite faces of its box."""
 
     axis: int
-    low: NDArray[np.int64]  # (a, 3 or 6), nodes of the triangles, corners first, mid-edge nodes on 01, 12, 20
-    high: NDArray[np.int64]  # the same
+    low: I64  # (a, 3 or 6), nodes of the triangles, corners first, mid-edge nodes on 01, 12, 20
+    high: I64  # the same
 
 
-def face_pairs(
-    nodes: NDArray[np.float64], cells: NDArray[np.int32], box: NDArray[np.float64], tolerance: float
-) -> list[FacePair]:
+def face_pairs(nodes: F64, cells: I32, box: F64, tolerance: float) -> list[FacePair]:
     """Boundary triangles on the faces of the box, (2, 3), within `tolerance` (in the unit of the nodes)."""
     corners = np.concatenate([cells[:, side] for side in _SIDES]).astype(np.int64)
     mids = (
@@ -53,7 +51,7 @@ def face_pairs(
     return pairs
 
 
-def mortar(nodes: NDArray[np.float64], pair: FacePair) -> Any:
+def mortar(nodes: F64, pair: FacePair) -> Any:
     """Constraints ``integral of phi (u_high - u_low) = 0`` for every shape function phi of the high face, csr (c, n).
 
     Both sides are integrated over the overlap of the two triangulations, exactly. One row for each node of the high
@@ -79,7 +77,7 @@ def mortar(nodes: NDArray[np.float64], pair: FacePair) -> Any:
     return _nonzero_rows(rows, columns, values, size)
 
 
-def collocation(nodes: NDArray[np.float64], pair: FacePair) -> Any:
+def collocation(nodes: F64, pair: FacePair) -> Any:
     """Constraints ``u_high(node) = u_low(there)`` for the nodes of the high face.
 
     Makes cells 0.4 to 0.6 % softer than the mortar where meshes are coarse; kept for comparison. A node that lies
@@ -116,13 +114,13 @@ def _nonzero_rows(rows: list[Any], columns: list[Any], values: list[Any], size: 
     return scaled
 
 
-def _in_plane(nodes: NDArray[np.float64], triangles: NDArray[np.int64], axis: int) -> NDArray[np.float64]:
+def _in_plane(nodes: F64, triangles: I64, axis: int) -> F64:
     """Corners in the two other coordinates, (a, 3, 2)."""
     axes = [a for a in range(3) if a != axis]
     return np.ascontiguousarray(nodes[triangles[:, :3]][:, :, axes])
 
 
-def _candidates(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
+def _candidates(low: F64, high: F64) -> I64:
     """Pairs (of low, of high) whose boxes overlap, in a fixed order, (p, 2)."""
     if not len(low) or not len(high):
         return np.empty((0, 2), np.int64)
@@ -141,7 +139,7 @@ def _candidates(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[
     return np.stack([firsts[meet], seconds[meet]], axis=1)
 
 
-def _shapes_at(shares: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+def _shapes_at(shares: F64, width: int) -> F64:
     """Shape functions of triangles at barycentric coordinates (n, 3): (n, width)."""
     if width == 3:
         return shares
@@ -150,7 +148,7 @@ def _shapes_at(shares: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 
 
 @jit
-def _barycentric(corners: NDArray[np.float64], x: float, y: float, out: NDArray[np.float64]) -> None:
+def _barycentric(corners: F64, x: float, y: float, out: F64) -> None:
     """Barycentric coordinates of a point."""
     ux, uy = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1]
     vx, vy = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1]
@@ -162,7 +160,7 @@ def _barycentric(corners: NDArray[np.float64], x: float, y: float, out: NDArray[
 
 
 @jit
-def _located(points: NDArray[np.float64], low: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _located(points: F64, low: F64) -> tuple[I64, F64]:
     """For each point the triangle that it lies deepest in, -1 if it is far from all, and its coordinates in it."""
     chosen = np.full(len(points), -1)
     shares = np.zeros((len(points), 3))
@@ -182,7 +180,7 @@ def _located(points: NDArray[np.float64], low: NDArray[np.float64]) -> tuple[NDA
 
 
 @jit
-def _shape(shares: NDArray[np.float64], width: int, out: NDArray[np.float64]) -> None:
+def _shape(shares: F64, width: int, out: F64) -> None:
     a, b, c = shares[0], shares[1], shares[2]
     if width == 3:
         out[0], out[1], out[2] = a, b, c
@@ -192,13 +190,7 @@ def _shape(shares: NDArray[np.float64], width: int, out: NDArray[np.float64]) ->
 
 
 @jit
-def _overlaps(
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    width: int,
-    quadrature: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _overlaps(low: F64, high: F64, pairs: I64, width: int, quadrature: F64) -> tuple[F64, F64, F64]:
     """Integrals over the overlap of each pair: high by high, high by low, and the area of the overlap."""
     own = np.zeros((len(pairs), width, width))
     other = np.zeros((len(pairs), width, width))

@@ -7,7 +7,51 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
+
+EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], np.int64)
+"""Corners at the ends of the edges, in the order of their nodes."""
+
+
+def with_mid_nodes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> tuple[F64, I32]:
+    """Add a node in the middle of each edge, which the tetrahedra at the edge share.
+
+    Of nodes (n, 3) and tets (m, 4); nodes become (n + edges, 3) float64, the old ones first, and tets (m, 10) int32:
+    corners, then the nodes on the edges 01, 12, 02, 03, 13, 23.
+    """
+    points = np.asarray(nodes, np.float64)
+    ends = np.sort(np.asarray(tets, np.int64)[:, EDGES], axis=2)
+    # an edge as one number, which sorts much faster than rows of two
+    edges, number = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)
+    first, second = np.divmod(edges, max(1, len(points)))
+    middles = (points[first] + points[second]) / 2
+    cells = np.concatenate([tets, len(points) + number.reshape(len(ends), 6)], axis=1)
+    return np.concatenate([points, middles]), cells.astype(np.int32)
+
+
+def minimum_jacobian(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> F64:
+    """The smallest Jacobian determinant of each quadratic tetrahedron (m, 10) at its ten nodes, (m,).
+
+    Six times the volume for one with straight edges and nodes in their middles. Positive values at the nodes do not
+    prove that it is positive in between, but that is where curved edges fail first.
+    """
+    corners = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    places = np.concatenate([corners, corners[EDGES].mean(1)])
+    slope = np.array([(-1.0, -1, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    points = np.asarray(nodes, np.float64)[tets]
+    least = np.full(len(points), np.inf)
+    for place in places:
+        weights = np.array([1 - place.sum(), *place])
+        gradient = np.concatenate(
+            [
+                (4 * weights[:, None] - 1) * slope,
+                4 * (weights[EDGES[:, 0], None] * slope[EDGES[:, 1]] + weights[EDGES[:, 1], None] * slope[EDGES[:, 0]]),
+            ]
+        )
+        np.minimum(least, np.linalg.det(np.einsum("mni,nj->mij", points, gradient)), out=least)
+    return least
+
 
 _FIFTHS = 900
 """Bins of the histogram, a fifth of a degree each."""
@@ -37,7 +81,7 @@ def quality(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> Quality:
     return Quality(float(angles[0]), float(angles[1]), ratio, edges, total, least, greatest, int(worst[7]))
 
 
-def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], bins: int = 90) -> NDArray[np.int64]:
+def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], bins: int = 90) -> I64:
     """Number of dihedral angles in each of `bins` (a divisor of 900) equal intervals of 0 to 180 degrees, (bins,)."""
     if bins < 1 or _FIFTHS % bins:
         raise ValueError(f"the number of bins must divide {_FIFTHS}, not be {bins}")
@@ -45,7 +89,7 @@ def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], b
     return np.asarray(counts.reshape(bins, -1).sum(1))
 
 
-def dihedral_extremes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
+def dihedral_extremes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> F64:
     """The smallest and the greatest dihedral angle of each tetrahedron, degrees, (m, 2).
 
     A tetrahedron without positive volume has 0 and 180.
@@ -53,14 +97,14 @@ def dihedral_extremes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) ->
     return np.asarray(np.degrees(np.arccos(np.clip(_cosines(*_prepared(nodes, tets)), -1, 1))))
 
 
-def volumes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
+def volumes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> F64:
     """Volumes of tetrahedra with straight edges, with sign, (m,)."""
     points, corners = _prepared(nodes, tets)
     a, b, c, d = (points[corners[:, i]] for i in range(4))
     return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a)) / 6
 
 
-def _prepared(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _prepared(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> tuple[F64, I32]:
     points = np.ascontiguousarray(nodes, np.float64)
     corners = np.ascontiguousarray(tets[:, :4], np.int32)
     if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
@@ -69,10 +113,7 @@ def _prepared(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> tuple[N
 
 
 @jit
-def _shape(
-    points: NDArray[np.float64], corners: NDArray[np.int32], m: int, p: NDArray[np.float64],
-    normals: NDArray[np.float64], out: NDArray[np.float64],
-) -> None:  # fmt: skip
+def _shape(points: F64, corners: I32, m: int, p: F64, normals: F64, out: F64) -> None:
     """Cosines of the six dihedral angles, then six times the volume, radius ratio, shortest and longest edge squared.
 
     `normals` gets those of the faces, outward, each as long as twice the area.
@@ -123,7 +164,7 @@ def _shape(
 
 
 @jit
-def _worst(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[np.float64]:
+def _worst(points: F64, corners: I32) -> F64:
     p, normals, out = np.empty((4, 3)), np.empty((4, 3)), np.empty(10)
     worst = np.array([-1.0, 1.0, 0.0, 0.0, 0.0, np.inf, -np.inf, 0.0])
     for m in range(corners.shape[0]):
@@ -142,7 +183,7 @@ def _worst(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[n
 
 
 @jit
-def _cosines(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[np.float64]:
+def _cosines(points: F64, corners: I32) -> F64:
     p, normals, out = np.empty((4, 3)), np.empty((4, 3)), np.empty(10)
     found = np.empty((corners.shape[0], 2))
     for m in range(corners.shape[0]):
@@ -157,7 +198,7 @@ def _cosines(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray
 
 
 @jit
-def _count_angles(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[np.int64]:
+def _count_angles(points: F64, corners: I32) -> I64:
     p, normals, out = np.empty((4, 3)), np.empty((4, 3)), np.empty(10)
     counts = np.zeros(_FIFTHS, np.int64)
     for m in range(corners.shape[0]):

@@ -7,14 +7,159 @@ are read in their place.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.services.jit.compiled import inline_jit
+from sppm_pipeline.features.tetrahedra.numerics.quality import EDGES
+from sppm_pipeline.services.arrays import F64, I32, I64
+from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
-Vectors = NDArray[np.float64]
+# The quadrature of degree 2 with four points (Hammer, Marlowe and Stroud 1956) suffices for
+# straight-sided quadratic tetrahedra, whose gradients are linear.
+_A, _B = (5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20
+_POINTS = np.array([[_A, _B, _B, _B], [_B, _A, _B, _B], [_B, _B, _A, _B], [_B, _B, _B, _A]])
+_MIDDLE = np.full((1, 4), 0.25)
+
+
+class Assembled(NamedTuple):
+    """The discrete problem of a cell."""
+
+    matrix: Any  # scipy.sparse.bsr_matrix, (3 n, 3 n), blocks 3 x 3
+    # (6, 3 n), forces of unit strains (Voigt, engineering shear); displacements solve ``matrix u = -load``
+    loads: F64
+    # (6, 6), volume times material stiffness: energies of the unit strains without any displacement
+    mean: F64
+    volume: float
+
+
+def assemble(nodes: F64, cells: I32, unknowns: I64, lame: F64, shear: F64) -> Assembled:
+    """Assemble the stiffness of a mesh of nodes (n, 3) and cells (m, 4) or (m, 10), in the order of `VolumeMesh`.
+
+    `unknowns`, (n,), number the displacement that each node has from 0 without gaps; nodes that periodicity makes one
+    share it. `lame` and `shear`, (m,), are Lamé's first constant and the shear modulus of each cell. ValueError if a
+    cell has no positive volume at a point of quadrature.
+    """
+    from scipy.sparse import bsr_matrix, coo_matrix
+
+    nodes, corners = np.ascontiguousarray(nodes, np.float64), np.ascontiguousarray(cells, np.int64)
+    count = int(unknowns.max()) + 1
+    gradients = _reference_gradients(corners.shape[1])
+    weight = 1 / 6 / len(gradients)
+    at = np.ascontiguousarray(unknowns[corners], np.int64)
+    m, width = at.shape
+    ones = np.ones(m * width * width, np.int8)
+    pairs = (np.repeat(at, width, axis=1).reshape(-1), np.tile(at, (1, width)).reshape(-1))
+    # the pattern first and the numbers into it: a list of all element matrices would take many times the
+    # memory
+    pattern = coo_matrix((ones, pairs), shape=(count, count)).tocsr()
+    pattern.sort_indices()
+    starts, columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
+    blocks = np.zeros((len(columns), 3, 3))
+    loads = np.zeros((6, count, 3))
+    mean = np.zeros((6, 6))
+    volume, smallest = _scatter(
+        nodes, corners, at, np.ascontiguousarray(lame), np.ascontiguousarray(shear), gradients, np.float64(weight),
+        starts, columns, blocks, loads, mean,
+    )  # fmt: skip
+    if not smallest > 0:
+        raise ValueError(f"a cell is turned inside out or flat: its Jacobian is {smallest:g}")
+    matrix = bsr_matrix((blocks, columns, starts), shape=(3 * count, 3 * count))
+    return Assembled(matrix, loads.reshape(6, -1), mean, float(volume))
+
+
+def _reference_gradients(width: int) -> F64:
+    """Gradients of the shape functions by the three reference coordinates, (points, width, 3)."""
+    # barycentric coordinates are (1 - r - s - t, r, s, t)
+    slopes = np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    if width == 4:
+        return slopes[None]
+    if width != 10:
+        raise ValueError(f"tetrahedra have 4 or 10 nodes, got {width}")
+    made = np.empty((len(_POINTS), 10, 3))
+    for q, point in enumerate(_POINTS):
+        made[q, :4] = (4 * point - 1)[:, None] * slopes
+        for edge, (a, b) in enumerate(EDGES):
+            made[q, 4 + edge] = 4 * (point[a] * slopes[b] + point[b] * slopes[a])
+    return made
+
+
+@jit
+def _scatter(
+    nodes: F64, cells: I64, at: I64, lame: F64, shear: F64, reference: F64, weight: float, starts: I64, columns: I64,
+    blocks: F64, loads: F64, mean: F64,
+) -> tuple[float, float]:  # fmt: skip
+    """Add all cells in their order; the volume and the smallest Jacobian."""
+    points, width, _ = reference.shape
+    g = np.empty((width, 3))
+    jacobian = np.empty((3, 3))
+    inverse = np.empty((3, 3))
+    total, smallest = 0.0, np.inf
+    for cell in range(len(cells)):
+        lam, mu = lame[cell], shear[cell]
+        for q in range(points):
+            for i in range(3):
+                for j in range(3):
+                    value = 0.0
+                    for a in range(width):
+                        value += nodes[cells[cell, a], i] * reference[q, a, j]
+                    jacobian[i, j] = value
+            for i in range(3):
+                i1, i2 = (i + 1) % 3, (i + 2) % 3
+                for j in range(3):
+                    j1, j2 = (j + 1) % 3, (j + 2) % 3
+                    # cofactors: the inverse but for the determinant
+                    inverse[j, i] = jacobian[i1, j1] * jacobian[i2, j2] - jacobian[i1, j2] * jacobian[i2, j1]
+            det = jacobian[0, 0] * inverse[0, 0] + jacobian[0, 1] * inverse[1, 0] + jacobian[0, 2] * inverse[2, 0]
+            smallest = min(smallest, det)
+            dv = det * weight
+            total += dv
+            for a in range(width):
+                for i in range(3):
+                    value = 0.0
+                    for j in range(3):
+                        value += reference[q, a, j] * inverse[j, i]
+                    g[a, i] = value / det
+            # energy of a unit mean strain, Voigt order xx yy zz yz xz xy, engineering shear
+            for i in range(3):
+                for j in range(3):
+                    mean[i, j] += dv * lam
+                mean[i, i] += 2 * dv * mu
+                mean[3 + i, 3 + i] += dv * mu
+            for a in range(width):
+                row = at[cell, a]
+                gx, gy, gz = dv * g[a, 0], dv * g[a, 1], dv * g[a, 2]
+                for i in range(3):
+                    # normal strain along i loads every direction by lame, its own by the shear modulus too
+                    loads[i, row, 0] += lam * gx
+                    loads[i, row, 1] += lam * gy
+                    loads[i, row, 2] += lam * gz
+                    loads[i, row, i] += 2 * mu * dv * g[a, i]
+                loads[3, row, 1] += mu * gz
+                loads[3, row, 2] += mu * gy
+                loads[4, row, 0] += mu * gz
+                loads[4, row, 2] += mu * gx
+                loads[5, row, 0] += mu * gy
+                loads[5, row, 1] += mu * gx
+                for b in range(width):
+                    column = at[cell, b]
+                    # binary search in the sorted columns of the row
+                    low, high = starts[row], starts[row + 1]
+                    while low < high - 1:
+                        half = (low + high) // 2
+                        if columns[half] <= column:
+                            low = half
+                        else:
+                            high = half
+                    dot = g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1] + g[a, 2] * g[b, 2]
+                    for i in range(3):
+                        for j in range(3):
+                            blocks[low, i, j] += dv * (lam * g[a, i] * g[b, j] + mu * g[a, j] * g[b, i])
+                        blocks[low, i, i] += dv * mu * dot
+    return total, smallest
+
+
+Vectors = F64
 
 CASES = 6
 """Load cases that are solved at a time, so that the matrix is read once for all of them."""
@@ -36,9 +181,9 @@ class Blocks:
         self._diagonal = matrix.data[matrix.indices == rows]
 
     @cached_property
-    def _inverses(self) -> NDArray[np.float64]:
+    def _inverses(self) -> F64:
         """Of the blocks on the diagonal."""
-        inverses: NDArray[np.float64] = np.linalg.inv(self._diagonal)
+        inverses: F64 = np.linalg.inv(self._diagonal)
         return inverses
 
     def product(self, x: Vectors) -> Vectors:
@@ -66,10 +211,7 @@ class Blocks:
 
 
 @inline_jit
-def _add_of_later(
-    start: int, stop: int, columns: NDArray[np.int32], values: NDArray[np.float64], x: NDArray[np.float64],
-    total: NDArray[np.float64],
-) -> None:  # fmt: skip
+def _add_of_later(start: int, stop: int, columns: I32, values: F64, x: F64, total: F64) -> None:
     """Add the blocks of a row times their part of `x` to a sum (3, 6).
 
     From the last one on, as rows are taken from the last one on: memory is read in one direction.
@@ -87,10 +229,7 @@ def _add_of_later(
 
 
 @inline_jit
-def _add_to_later(
-    start: int, stop: int, columns: NDArray[np.int32], values: NDArray[np.float64], own: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:  # fmt: skip
+def _add_to_later(start: int, stop: int, columns: I32, values: F64, own: F64, out: F64) -> None:
     """Add the blocks of a row, as those of the column that it is too, times a part of a vector (3, 6)."""
     for at in range(start, stop):
         column = columns[at]
@@ -105,10 +244,7 @@ def _add_to_later(
 
 
 @inline_jit
-def _multiply(
-    starts: NDArray[np.int64], columns: NDArray[np.int32], values: NDArray[np.float64], diagonal: NDArray[np.float64],
-    x: NDArray[np.float64], out: NDArray[np.float64],
-) -> None:  # fmt: skip
+def _multiply(starts: I64, columns: I32, values: F64, diagonal: F64, x: F64, out: F64) -> None:
     """The matrix times (n, 3, 6)."""
     own, total = np.empty((3, CASES)), np.empty((3, CASES))
     for row in range(len(out) - 1, -1, -1):
@@ -125,13 +261,7 @@ def _multiply(
 
 
 @inline_jit
-def _relax_from_zero(
-    starts: NDArray[np.int64],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    inverses: NDArray[np.float64],
-    x: NDArray[np.float64],
-) -> None:
+def _relax_from_zero(starts: I64, columns: I32, values: F64, inverses: F64, x: F64) -> None:
     """Replace a right-hand side, block by block, by what its residual asks for while all later blocks are zero."""
     own = np.empty((3, CASES))
     for row in range(len(x)):
@@ -147,13 +277,7 @@ def _relax_from_zero(
 
 
 @inline_jit
-def _leave(
-    starts: NDArray[np.int64],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    x: NDArray[np.float64],
-    left: NDArray[np.float64],
-) -> None:
+def _leave(starts: I64, columns: I32, values: F64, x: F64, left: F64) -> None:
     """Residual after a sweep from the first block to the last: less what later blocks have taken from zero to `x`."""
     total = np.empty((3, CASES))
     for row in range(len(x) - 1, -1, -1):
@@ -167,10 +291,7 @@ def _leave(
 
 
 @inline_jit
-def _relax_back(
-    starts: NDArray[np.int64], columns: NDArray[np.int32], values: NDArray[np.float64], inverses: NDArray[np.float64],
-    rest: NDArray[np.float64], x: NDArray[np.float64],
-) -> None:  # fmt: skip
+def _relax_back(starts: I64, columns: I32, values: F64, inverses: F64, rest: F64, x: F64) -> None:
     """Set each block, from the last on, to what the right-hand side asks for; `rest` is that, and is used up."""
     own, total = np.empty((3, CASES)), np.empty((3, CASES))
     for row in range(len(x)):

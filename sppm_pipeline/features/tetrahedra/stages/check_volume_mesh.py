@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import Context, Rejected, Stage, option, options
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
+from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh, face_match, matched_nodes
 
 BINS = 18
 """Intervals of the reported histogram of dihedral angles, of ten degrees each."""
@@ -46,9 +46,7 @@ class CheckVolumeMesh(Stage):
 
     def run(self, context: Context, mesh: VolumeMesh) -> VolumeMesh:
         """Measure, and pass the mesh on."""
-        from sppm_pipeline.features.tetrahedra.numerics import periodic
-        from sppm_pipeline.features.tetrahedra.numerics.quadratic import minimum_jacobian
-        from sppm_pipeline.features.tetrahedra.numerics.quality import dihedral_histogram, quality
+        from sppm_pipeline.features.tetrahedra.numerics.quality import dihedral_histogram, minimum_jacobian, quality
         from sppm_pipeline.services.mesh import faces
         from sppm_pipeline.services.mesh.measures import edge_counts
 
@@ -90,7 +88,7 @@ class CheckVolumeMesh(Stage):
             faults.append(f"the boundary does not close: {edges.unbalanced} edges have no partner")
         joined: NDArray[np.integer] = mesh.cells[:, :4]
         if mesh.matched and mesh.box is not None:
-            match = periodic.face_match(mesh.nodes, mesh.cells, mesh.box)
+            match = face_match(mesh.nodes, mesh.cells, mesh.box)
             context.report(
                 matched_triangles=match.matched.tolist(),
                 free_triangles=match.free.tolist(),
@@ -101,7 +99,7 @@ class CheckVolumeMesh(Stage):
                     f"{match.mismatched.sum()} triangles in opposite faces of the box are no copies of each other"
                 )
             else:
-                joined = periodic.matched_nodes(mesh.nodes, mesh.box)[joined]
+                joined = matched_nodes(mesh.nodes, mesh.box)[joined]
         parts = faces.components(faces.face_neighbors(joined))[0]
         context.report(components=parts)
         if self.one_piece and parts > 1:

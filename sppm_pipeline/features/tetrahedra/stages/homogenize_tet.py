@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import ConfigError, Context, DesignError, InputError, Stage, option, options
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
+from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh, face_match, loose_parts, matched_nodes
 from sppm_pipeline.method.families.homogenizer import LOCKING
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 
@@ -60,7 +60,6 @@ class HomogenizeTet(Stage):
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""
-        from sppm_pipeline.features.tetrahedra.numerics.periodic import face_match, loose_parts, matched_nodes
         from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import homogenize_tetrahedra
 
         if mesh.box is None:

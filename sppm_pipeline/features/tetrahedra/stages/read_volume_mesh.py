@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, InputError, Stage, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.services.arrays import F64, I32, U8
 from sppm_pipeline.services.formats.hexahedra_file import IGNORED, LARGEST_FILE, READERS
 from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
 
@@ -79,7 +80,7 @@ class ReadVolumeMesh(Stage):
         materials = self._materials(context, read, [place for place, _ in blocks])
         box, matched = None, False
         if self.periodic:
-            from sppm_pipeline.features.tetrahedra.numerics.periodic import face_match
+            from sppm_pipeline.features.tetrahedra.volume_mesh import face_match
 
             box = np.array([nodes.min(axis=0), nodes.max(axis=0)])
             match = face_match(nodes, cells, box)
@@ -98,7 +99,7 @@ class ReadVolumeMesh(Stage):
         with third_party_reader("meshio", self.path.name, hint):
             return reader.read(self.path)
 
-    def _oriented(self, context: Context, nodes: NDArray[np.float64], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+    def _oriented(self, context: Context, nodes: F64, cells: I32) -> I32:
         from sppm_pipeline.features.tetrahedra.numerics.quality import volumes
 
         signed = volumes(nodes, cells)
@@ -115,7 +116,7 @@ class ReadVolumeMesh(Stage):
             cells = np.where(inverted[:, None], cells[:, turned], cells)
         return cells
 
-    def _materials(self, context: Context, read: Any, places: list[int]) -> NDArray[np.uint8] | None:
+    def _materials(self, context: Context, read: Any, places: list[int]) -> U8 | None:
         given: list[NDArray[Any]] = []
         for name in MATERIAL_DATA:
             if name in read.cell_data:

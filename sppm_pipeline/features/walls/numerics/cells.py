@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 #: Planes of the box that a cell is cut from.
@@ -31,14 +31,14 @@ _FIRST_SHELL, _SHELL_GROWTH = 1.4, 1.4
 class VoronoiCells(NamedTuple):
     """Cells of some pores as sets of planes; inside is ``n . (x - center) <= offset`` for all."""
 
-    centers: NDArray[np.float64]  # (n, 3), the pores
-    first: NDArray[np.int64]  # (n + 1,), index of the first plane of each cell
-    planes: NDArray[np.float64]  # (m, 4), unit normal n and offset of each face that is shared with another cell
-    lower: NDArray[np.float64]  # (n, 3), boxes around the cells
-    upper: NDArray[np.float64]
+    centers: F64  # (n, 3), the pores
+    first: I64  # (n + 1,), index of the first plane of each cell
+    planes: F64  # (m, 4), unit normal n and offset of each face that is shared with another cell
+    lower: F64  # (n, 3), boxes around the cells
+    upper: F64
 
 
-def voronoi_cells(points: NDArray[np.float64], owners: NDArray[np.int64], empty: float) -> VoronoiCells:
+def voronoi_cells(points: F64, owners: I64, empty: float) -> VoronoiCells:
     """Voronoi cells of some pores, the `owners` (k,), of `points` (n, 3), among which are all within ``2 empty`` of an
     owner.
 
@@ -70,7 +70,7 @@ def voronoi_cells(points: NDArray[np.float64], owners: NDArray[np.int64], empty:
     return VoronoiCells(centers, first, planes[: first[-1]].copy(), centers + lower, centers + upper)
 
 
-def _mean_spacing(points: NDArray[np.float64]) -> float:
+def _mean_spacing(points: F64) -> float:
     """Cube root of the volume per point."""
     extent = np.maximum(np.ptp(points, axis=0), 1e-6) if len(points) else np.ones(3)
     return float((extent.prod() / max(len(points), 1)) ** (1 / 3))
@@ -81,10 +81,8 @@ _DONE, _MORE_PLANES, _MORE_ROOM = 0, 1, 2
 
 @jit
 def _clip_all(
-    points: NDArray[np.float64], centers: NDArray[np.float64], empty: float, spacing: float,
-    face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], rim: NDArray[np.int32],
-    distance: NDArray[np.float64], near: NDArray[np.int64], first: NDArray[np.int64], planes: NDArray[np.float64],
-    lower: NDArray[np.float64], upper: NDArray[np.float64],
+    points: F64, centers: F64, empty: float, spacing: float, face: F64, corner: F64, triple: I32, rim: I32,
+    distance: F64, near: I64, first: I64, planes: F64, lower: F64, upper: F64,
 ) -> int:  # fmt: skip
     """Clip the boxes of all centers; `points` are sorted along x. The arrays from `face` to `near` are work space."""
     total = 0
@@ -136,7 +134,7 @@ def _clip_all(
 
 
 @jit
-def _box(face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], half: float) -> int:
+def _box(face: F64, corner: F64, triple: I32, half: float) -> int:
     """Write the box |x|, |y|, |z| <= half and return its number of corners; triples are oriented alike from outside."""
     for a in range(3):
         for side in range(2):
@@ -156,7 +154,7 @@ def _box(face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray
 
 
 @jit
-def _farthest(corner: NDArray[np.float64], corners: int) -> float:
+def _farthest(corner: F64, corners: int) -> float:
     """Squared distance of the farthest corner."""
     found = 0.0
     for v in range(corners):
@@ -165,10 +163,7 @@ def _farthest(corner: NDArray[np.float64], corners: int) -> float:
 
 
 @jit
-def _shell(
-    points: NDArray[np.float64], cx: float, cy: float, cz: float, inner: float, outer: float,
-    distance: NDArray[np.float64], near: NDArray[np.int64],
-) -> int:  # fmt: skip
+def _shell(points: F64, cx: float, cy: float, cz: float, inner: float, outer: float, distance: F64, near: I64) -> int:
     """Points with inner < distance <= outer, nearest first; `distance` receives their squares."""
     found = 0
     low = np.searchsorted(points[:, 0], cx - outer)
@@ -191,10 +186,7 @@ def _shell(
 
 
 @jit
-def _cut(
-    face: NDArray[np.float64], new: int, corner: NDArray[np.float64], triple: NDArray[np.int32],
-    rim: NDArray[np.int32], corners: int, tolerance: float,
-) -> int:  # fmt: skip
+def _cut(face: F64, new: int, corner: F64, triple: I32, rim: I32, corners: int, tolerance: float) -> int:
     """Cut a cell by the plane `new`; returns the number of its corners, -1 if the arrays are too small."""
     nx, ny, nz, offset = face[new, 0], face[new, 1], face[new, 2], face[new, 3]
     kept = 0
@@ -237,7 +229,7 @@ def _cut(
 
 
 @jit
-def _meet(face: NDArray[np.float64], a: int, b: int, c: int, out: NDArray[np.float64]) -> None:
+def _meet(face: F64, a: int, b: int, c: int, out: F64) -> None:
     """Intersect three planes in a point."""
     ux, uy, uz = face[a, 0], face[a, 1], face[a, 2]
     vx, vy, vz = face[b, 0], face[b, 1], face[b, 2]

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.walls.numerics.cells import VoronoiCells
 from sppm_pipeline.method.kernels.rows import LANES
+from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.threads import in_bands
@@ -32,12 +32,7 @@ _MAX_STEPS, _TOLERANCE = 12, np.float32(1e-5)
 
 
 def raise_to_distance(
-    out: NDArray[np.float32],
-    grid: Grid,
-    cells: VoronoiCells,
-    rounding: float = 0.0,
-    threads: int = 1,
-    first_layer: int = 0,
+    out: F32, grid: Grid, cells: VoronoiCells, rounding: float = 0.0, threads: int = 1, first_layer: int = 0
 ) -> None:
     """Raise the samples in `cells` to their distance from the faces of their Voronoi cell, whatever the number of
     threads.
@@ -66,30 +61,28 @@ def raise_to_distance(
 
 
 @inline_jit
-def _fill(row: NDArray[np.float32], blocks: int, value: np.float32) -> None:
+def _fill(row: F32, blocks: int, value: np.float32) -> None:
     """Set row[i] = value in whole blocks, which the compiler turns into vector instructions."""
     for i in range(np.uint64(blocks) << _SHIFT):
         row[i] = value
 
 
 @inline_jit
-def _least(row: NDArray[np.float32], blocks: int, value: np.float32, step: np.float32) -> None:
+def _least(row: F32, blocks: int, value: np.float32, step: np.float32) -> None:
     """Lower row[i] to value + i step."""
     for i in range(np.uint64(blocks) << _SHIFT):
         row[i] = min(row[i], value + step * np.float32(np.int32(i)))
 
 
 @inline_jit
-def _raise(out: NDArray[np.float32], at: int, row: NDArray[np.float32], count: int) -> None:
+def _raise(out: F32, at: int, row: F32, count: int) -> None:
     first = np.uint64(at)
     for i in range(np.uint64(count)):
         out[first + i] = max(out[first + i], row[i])
 
 
 @inline_jit
-def _ends(
-    room: NDArray[np.float64], inverse: NDArray[np.float64], rising: int, slanted: int, low: float, high: float
-) -> tuple[float, float]:
+def _ends(room: F64, inverse: F64, rising: int, slanted: int, low: float, high: float) -> tuple[float, float]:
     """Interval of x in which ``x <= room / slope`` for the rising planes, ``>=`` for the falling ones."""
     for j in range(np.uint64(rising)):
         high = min(high, room[j] * inverse[j])
@@ -99,9 +92,7 @@ def _ends(
 
 
 @jit
-def _sorted_planes(
-    planes: NDArray[np.float64], first: int, stop: int, own: NDArray[np.float64], inverse: NDArray[np.float64]
-) -> tuple[int, int]:
+def _sorted_planes(planes: F64, first: int, stop: int, own: F64, inverse: F64) -> tuple[int, int]:
     """Copy planes that rise along x, then falling, then parallel ones; return where the second and third kind begin."""
     at = rising = slanted = 0
     for kind in range(3):
@@ -118,11 +109,9 @@ def _sorted_planes(
 
 @jit
 def _raise_cells(
-    out: NDArray[np.float32], shape: tuple[int, int, int], first_layer: int, origin: NDArray[np.float64],
-    spacing: NDArray[np.float64], centers: NDArray[np.float64], first: NDArray[np.int64], planes: NDArray[np.float64],
-    lower: NDArray[np.float64], upper: NDArray[np.float64], rounding: float, least: NDArray[np.float32],
-    shift: NDArray[np.float32], total: NDArray[np.float32], slope: NDArray[np.float32], lines: NDArray[np.float32],
-    own: NDArray[np.float64], inverse: NDArray[np.float64], room: NDArray[np.float64],
+    out: F32, shape: tuple[int, int, int], first_layer: int, origin: F64, spacing: F64, centers: F64, first: I64,
+    planes: F64, lower: F64, upper: F64, rounding: float, least: F32, shift: F32, total: F32, slope: F32, lines: F32,
+    own: F64, inverse: F64, room: F64,
 ) -> None:  # fmt: skip
     """Process every row of every cell; the arrays from `least` on are scratch."""
     nz, ny, nx = shape
@@ -171,9 +160,7 @@ def _raise_cells(
 
 
 @inline_jit
-def _near(
-    least: NDArray[np.float32], blocks: int, value: np.float32, step: np.float32, radius: np.float32
-) -> np.float32:
+def _near(least: F32, blocks: int, value: np.float32, step: np.float32, radius: np.float32) -> np.float32:
     """Count the samples of a row in which a plane comes within the radius of the nearest one."""
     found = _ZERO
     for i in range(np.uint64(blocks) << _SHIFT):
@@ -183,9 +170,8 @@ def _near(
 
 @inline_jit
 def _add_rests(
-    total: NDArray[np.float32], slope: NDArray[np.float32], least: NDArray[np.float32], shift: NDArray[np.float32],
-    blocks: int, value: np.float32, step: np.float32,
-) -> None:  # fmt: skip
+    total: F32, slope: F32, least: F32, shift: F32, blocks: int, value: np.float32, step: np.float32
+) -> None:
     """Add the contribution of a plane to the sum and to its slope; `value` is that of the plane less the radius."""
     for i in range(np.uint64(blocks) << _SHIFT):
         rest = max(least[i] - shift[i] - value - step * np.float32(np.int32(i)), _ZERO)
@@ -194,9 +180,7 @@ def _add_rests(
 
 
 @inline_jit
-def _step(
-    total: NDArray[np.float32], slope: NDArray[np.float32], shift: NDArray[np.float32], blocks: int
-) -> np.float32:
+def _step(total: F32, slope: F32, shift: F32, blocks: int) -> np.float32:
     """Take a Newton step; returns the residual before it, summed over the row."""
     left = _ZERO
     for i in range(np.uint64(blocks) << _SHIFT):
@@ -206,16 +190,15 @@ def _step(
 
 
 @inline_jit
-def _lower(least: NDArray[np.float32], shift: NDArray[np.float32], blocks: int) -> None:
+def _lower(least: F32, shift: F32, blocks: int) -> None:
     for i in range(np.uint64(blocks) << _SHIFT):
         least[i] -= shift[i]
 
 
 @inline_jit
 def _soften(
-    least: NDArray[np.float32], shift: NDArray[np.float32], total: NDArray[np.float32], slope: NDArray[np.float32],
-    lines: NDArray[np.float32], count: int, blocks: int, radius: np.float32,
-) -> None:  # fmt: skip
+    least: F32, shift: F32, total: F32, slope: F32, lines: F32, count: int, blocks: int, radius: np.float32
+) -> None:
     """Lower the minimum of some lines to their soft minimum, by Newton's method for a whole row at once.
 
     The sum of ``max(radius - (v_j - least) - s, 0)^2`` falls with s and is convex, so the steps from s = 0 to where it

@@ -11,12 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.walls.numerics.cells import VoronoiCells, voronoi_cells
 from sppm_pipeline.features.walls.numerics.distance import UNCLAIMED, raise_to_distance
 from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays
 from sppm_pipeline.method.assembly.gather import Catalog, kernels_in_box, make_catalog
+from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.threads import in_bands
@@ -51,9 +51,7 @@ class WallSampler:
         self._sites: OrderedDict[tuple[int, int, int], VoronoiCells] = OrderedDict()
         self._bytes, self._lock = 0, Lock()
 
-    def sample(
-        self, grid: Grid, start: int, stop: int, threads: int = 1
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def sample(self, grid: Grid, start: int, stop: int, threads: int = 1) -> tuple[F32, F32]:
         """Distance from the middle of the nearest wall, and depth in tunnels (negative outside), both (stop - start,
         ny, nx), in cell sizes, for the layers start <= k < stop. Outside of all cells there are no walls; the distance
         is then the largest empty radius.
@@ -73,7 +71,7 @@ class WallSampler:
         raise_to_depth(depth, grid, tunnels.starts, tunnels.ends, 1 / tunnels.mu, self._margin, threads, start)
         return distance, depth
 
-    def _cells_near(self, lower: NDArray[np.float64], upper: NDArray[np.float64], threads: int) -> list[VoronoiCells]:
+    def _cells_near(self, lower: F64, upper: F64, threads: int) -> list[VoronoiCells]:
         """Voronoi cells that may meet a box, in the order of their sites; one set for each image of a site."""
         first = np.floor(lower - self.empty).astype(np.int64)
         last = np.floor(upper + self.empty).astype(np.int64)
@@ -131,7 +129,7 @@ def largest_empty_radius(pieces: Pieces) -> float:
 
 
 @jit
-def _farthest_probe(centers: NDArray[np.float64], first: NDArray[np.int64], probes: int) -> float:
+def _farthest_probe(centers: F64, first: I64, probes: int) -> float:
     """Largest distance of the centers of probes^3 parts of a cell from the nearest pore of its interior."""
     largest = 0.0
     for t in range(len(first) - 1):
@@ -147,14 +145,7 @@ def _farthest_probe(centers: NDArray[np.float64], first: NDArray[np.int64], prob
 
 
 def raise_to_depth(
-    out: NDArray[np.float32],
-    grid: Grid,
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    margin: float,
-    threads: int = 1,
-    first_layer: int = 0,
+    out: F32, grid: Grid, starts: F64, ends: F64, radii: F64, margin: float, threads: int = 1, first_layer: int = 0
 ) -> None:
     """Raise samples to their depth in the nearest tunnel: its radius less the distance from its axis, whatever the
     number of threads.
@@ -178,8 +169,8 @@ def raise_to_depth(
 
 @inline_jit
 def _raise_row(
-    out: NDArray[np.float32], at: int, count: int, x: np.float32, step: np.float32, y: np.float32, z: np.float32,
-    ux: np.float32, uy: np.float32, uz: np.float32, length: np.float32, radius: np.float32,
+    out: F32, at: int, count: int, x: np.float32, step: np.float32, y: np.float32, z: np.float32, ux: np.float32,
+    uy: np.float32, uz: np.float32, length: np.float32, radius: np.float32,
 ) -> None:  # fmt: skip
     """Raise ``out[at + i]`` to the radius less the distance of ``(x + i step, y, z)`` from a segment at the origin."""
     first = np.uint64(at)
@@ -193,9 +184,8 @@ def _raise_row(
 
 @jit
 def _raise_tunnels(
-    out: NDArray[np.float32], shape: tuple[int, int, int], first_layer: int, origin: NDArray[np.float64],
-    spacing: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64], radii: NDArray[np.float64],
-    margin: float,
+    out: F32, shape: tuple[int, int, int], first_layer: int, origin: F64, spacing: F64, starts: F64, ends: F64,
+    radii: F64, margin: float,
 ) -> None:  # fmt: skip
     """Visit the rows of the box around every tunnel, each over the samples that its capsule can reach."""
     nz, ny, nx = shape
@@ -247,9 +237,7 @@ def _raise_tunnels(
 
 
 @inline_jit
-def _wall_field(
-    distance: NDArray[np.float32], depth: NDArray[np.float32], half: np.float32, radius: np.float32
-) -> None:
+def _wall_field(distance: F32, depth: F32, half: np.float32, radius: np.float32) -> None:
     for i in range(np.uint64(len(distance))):
         a, b = distance[i] - half, depth[i]
         top, gap = max(a, b), abs(a - b)
@@ -261,7 +249,7 @@ def _wall_field(
 
 
 @inline_jit
-def _opening(distance: NDArray[np.float32], depth: NDArray[np.float32], radius: np.float32, top: np.float32) -> None:
+def _opening(distance: F32, depth: F32, radius: np.float32, top: np.float32) -> None:
     for i in range(np.uint64(len(distance))):
         b = max(radius + depth[i], np.float32(0.0))
         # raise the threshold near a tunnel, so that the rim of the opening is rounded
@@ -269,9 +257,7 @@ def _opening(distance: NDArray[np.float32], depth: NDArray[np.float32], radius: 
         distance[i] = distance[i] + rise if depth[i] < np.float32(0.0) else top
 
 
-def wall_field(
-    distance: NDArray[np.float32], depth: NDArray[np.float32], half_thickness: float, rounding: float
-) -> NDArray[np.float32]:
+def wall_field(distance: F32, depth: F32, half_thickness: float, rounding: float) -> F32:
     """Combine distance from the middle of the nearest wall and depth in tunnels, of the same shape, to a field that is
     negative in walls; `distance` is overwritten by it.
 
@@ -282,7 +268,7 @@ def wall_field(
     return distance
 
 
-def opening(distance: NDArray[np.float32], depth: NDArray[np.float32], rounding: float) -> NDArray[np.float32]:
+def opening(distance: F32, depth: F32, rounding: float) -> F32:
     """Half thickness above which a point is solid, so that a porosity is a quantile of it; see `wall_field`. `OPEN` in
     tunnels, which no wall closes. Overwrites `distance`.
     """

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.marching_cubes import Mesh
 from sppm_pipeline.services.mesh.measures import components
@@ -15,8 +15,8 @@ from sppm_pipeline.services.mesh.measures import components
 class Shells(NamedTuple):
     """The connected parts of a closed mesh."""
 
-    labels: NDArray[np.int32]  # (m,), shell of each triangle
-    volumes: NDArray[np.float64]  # (n,), inside each shell; negative for a cavity, whose triangles look inwards
+    labels: I32  # (m,), shell of each triangle
+    volumes: F64  # (n,), inside each shell; negative for a cavity, whose triangles look inwards
 
     @property
     def bodies(self) -> int:
@@ -29,7 +29,7 @@ class Shells(NamedTuple):
         return len(self.volumes) - self.bodies
 
 
-def find_shells(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shells:
+def find_shells(vertices: F64, faces: I32) -> Shells:
     """The shells of a closed mesh, (n, 3) and (m, 3)."""
     count, labels = components(faces)
     # volumes are taken about the middle: far from the origin tetrahedra from there would cancel to
@@ -38,7 +38,7 @@ def find_shells(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shel
     return Shells(labels, _volumes(vertices, np.ascontiguousarray(faces, np.int32), labels, middle, count))
 
 
-def largest_body(vertices: NDArray[np.float64], faces: NDArray[np.int32], shells: Shells) -> Mesh:
+def largest_body(vertices: F64, faces: I32, shells: Shells) -> Mesh:
     """The body with the largest outer shell, with its own cavities and without whatever floats in them.
 
     The mesh, (n, 3) and (m, 3), is closed, wound outwards and free of intersections; `shells` are those of
@@ -62,7 +62,7 @@ def largest_body(vertices: NDArray[np.float64], faces: NDArray[np.int32], shells
     return used_vertices(vertices, faces[kept[shells.labels]])
 
 
-def used_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
+def used_vertices(vertices: F64, faces: I32) -> Mesh:
     """The mesh without vertices that belong to no triangle; the order of the others stays."""
     used = np.zeros(len(vertices), np.bool_)
     used[faces] = True
@@ -71,13 +71,7 @@ def used_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Me
 
 
 @jit
-def _volumes(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    labels: NDArray[np.int32],
-    middle: NDArray[np.float64],
-    count: int,
-) -> NDArray[np.float64]:
+def _volumes(vertices: F64, faces: I32, labels: I32, middle: F64, count: int) -> F64:
     volumes = np.zeros(count)
     p = np.empty((3, 3))
     for i in range(faces.shape[0]):
@@ -93,9 +87,7 @@ def _volumes(
 
 
 @jit
-def _winding(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], which: NDArray[np.int64], at: NDArray[np.float64]
-) -> float:
+def _winding(vertices: F64, faces: I32, which: I64, at: F64) -> float:
     """Winding number of triangles around a point, the sum of their solid angles (van Oosterom and Strackee, 1983)."""
     total = 0.0
     p, r = np.empty((3, 3)), np.empty(3)

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.mesh.box_tree import DEPTH, BoxTree
 from sppm_pipeline.services.mesh.predicates import side_of_line, side_of_plane
@@ -26,7 +26,7 @@ _LEAVES_AT_ONCE = 4096
 class SelfIntersections(NamedTuple):
     """The result of `self_intersections`."""
 
-    faces: NDArray[np.bool_]  # (m,), triangles that cross, touch or overlap another one beyond shared corners and edges
+    faces: Bools  # (m,), triangles that cross, touch or overlap another one beyond shared corners and edges
     pairs: int  # pairs of such triangles
     complete: bool  # False if the search was given up
 
@@ -54,7 +54,7 @@ def self_intersections(tree: BoxTree, max_pairs: int = MAX_PAIRS) -> SelfInterse
 
 
 @jit
-def _flat(triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _flat(triangles: F64) -> Bools:
     flat = np.empty(triangles.shape[0], np.bool_)
     for i in range(triangles.shape[0]):
         flat[i] = is_flat(triangles[i])
@@ -62,7 +62,7 @@ def _flat(triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 @jit
-def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
+def _apart(triangles: F64, i: int, j: int) -> bool:
     """Test whether the boxes of two triangles do not even touch."""
     t, s = triangles[i], triangles[j]
     for a in range(3):
@@ -75,9 +75,8 @@ def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
 
 @jit
 def _pairs(
-    triangles: NDArray[np.float64], boxes: NDArray[np.float64], starts: NDArray[np.int64], flat: NDArray[np.bool_],
-    first: int, last: int, max_pairs: int, marked: NDArray[np.bool_],
-) -> tuple[int, int]:  # fmt: skip
+    triangles: F64, boxes: F64, starts: I64, flat: Bools, first: int, last: int, max_pairs: int, marked: Bools
+) -> tuple[int, int]:
     """Pairs of triangles in leaves first to last with those in the same leaf or later ones."""
     leaves = starts.size - 1
     waiting = np.empty(DEPTH, np.int64)
@@ -129,13 +128,13 @@ def _pairs(
 
 
 @jit
-def is_flat(t: NDArray[np.float64]) -> bool:
+def is_flat(t: F64) -> bool:
     """Test exactly whether the corners of a triangle (3, 3) lie on one line."""
     return _projection(t) < 0
 
 
 @jit
-def _projection(t: NDArray[np.float64]) -> int:
+def _projection(t: F64) -> int:
     """The axis along which the triangle is seen as an area; -1 if it has none."""
     for axis in range(3):
         i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -145,7 +144,7 @@ def _projection(t: NDArray[np.float64]) -> int:
 
 
 @jit
-def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[np.float64]) -> bool:
+def _meets_in_plane(p: F64, q: F64, t: F64) -> bool:
     """Test whether segment pq, in the plane of triangle t, meets it."""
     axis = _projection(t)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -166,9 +165,7 @@ def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[n
 
 
 @jit
-def _segment_meets(
-    p: NDArray[np.float64], q: NDArray[np.float64], of_p: int, of_q: int, t: NDArray[np.float64]
-) -> bool:
+def _segment_meets(p: F64, q: F64, of_p: int, of_q: int, t: F64) -> bool:
     """Test whether segment pq meets triangle t; given are the sides of its plane on which p and q lie."""
     if of_p * of_q > 0:
         return False
@@ -184,7 +181,7 @@ def _segment_meets(
 
 
 @jit
-def triangles_meet(t: NDArray[np.float64], s: NDArray[np.float64]) -> bool:
+def triangles_meet(t: F64, s: F64) -> bool:
     """Test whether two triangles (3, 3), neither of them flat, meet beyond the corners they share.
 
     Corners are shared if their coordinates are equal. Triangles that share all three lie on each other: they meet.
