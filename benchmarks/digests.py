@@ -225,7 +225,8 @@ EXAMPLES: Mapping[str, Small] = {
     "bracket": _small(
         "cell=8 mm",
         """optimize.density.updates=3; optimize.density.trials=1; optimize.density.law_resolution=16;
-        tile.scattered.resolution=16; tile.scattered.rounds=0; tested.resolution=8; slice.field.layer=0.1 mm;
+        tile.scattered.resolution=16; tile.scattered.rounds=0; uniform.resolution=16; tested.resolution=8;
+        uniform_tested.resolution=8; slice.field.layer=0.1 mm;
         tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
     ),
     "crush": _small("", "tune.porosity.resolution=24; crush.voxel.resolution=10; crush.voxel.rate=0.05"),

@@ -23,6 +23,8 @@ REQUIRED = {
     "grade.nodes": {"of": "ct", "path": "a.vtu"},
     "grade.distance": {"of": "depth"},
     "tune.plateau": {"target": 1.0},
+    "simulate.part": {"young": 1000.0},
+    "optimize.density": {"young": 1000.0},
     "warp.cylinder": {"inner_radius": Length(5.0)},
     "warp.sphere": {"inner_radius": Length(5.0)},
     "warp.hexahedra": {"path": "a.vtu"},

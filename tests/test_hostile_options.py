@@ -50,6 +50,7 @@ IMAGE = [*REPEATED, "  - {stage: extract.voxels, resolution: 6}"]
 TEST = ["  - {stage: read.compression, path: test.csv, size: [20, 20, 20]}"]
 
 CHECKED = ["  - {stage: check.porosity, resolution: 8}"]
+LOADED = [BOX, "  - {stage: load.case, fix: ['plane x at low'], force: ['0 0 -1 N on plane x at high']}"]
 LAYERS = ["  - {stage: slice.field, pixel: 0.5}", "  - write.png"]
 SMALL = "recipe: cell, porosity: 0.5, colors: 1, resolution: 8, tolerance: 0.1"
 
@@ -148,6 +149,14 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.sizes": (TILED, "resolution: 8", []),
     "check.volume_mesh": (VOLUME, "", []),
     "measure.compression": (TEST, "", []),
+    "load.case": ([BOX], "fix: ['plane x at low'], force: ['0 0 -1 N on plane x at high']", []),
+    "simulate.part": (
+        [*LOADED, "  - {stage: tile.fresh, recipe: cell, cell: 3 mm}", "  - fill.implicit"],
+        "young: 1000, resolution: 6", []),
+    "optimize.density": (
+        LOADED,
+        "recipe: counted, young: 1000, cell: 1.5 mm, mean_density: 0.45, density: [0.35, 0.55], trials: 1, "
+        "law_resolution: 8, updates: 1", []),
     "crush.voxel": (REPEATED, "resolution: 6, rate: 0.05, strain: 0.05, frames: [0]", []),
     "tune.plateau": (
         [], "recipe: cell, target: 0.02, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 4, rate: 0.05, "

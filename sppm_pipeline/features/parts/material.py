@@ -46,15 +46,16 @@ class LoadedPart(Stage):
 
     reported: ClassVar[tuple[str, ...]] = ("law_cells", "law_density_min", "law_error")
 
-    young: float = options.young(note="MPa")
-    poisson: float = options.poisson(0.35)
+    young: float = options.young(note="MPa", above=None, minimum=1e-3, maximum=1e9)
+    poisson: float = options.poisson(0.35, above=None, below=None, minimum=-0.9, maximum=0.49)
     solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
     cell: Length | None = options.cell(None, note="of the recipe in the part; the recipe's `edge` if omitted")
     element: Length | None = option(
         None, help="edge of the elements of a homogenized part; half a cell if omitted, or a 128th of the longest side",
         unit="mm", minimum=1e-4, maximum=1e4,
     )  # fmt: skip
-    skin: Length = options.skin(Length(0.0), note="of a homogenized part; a part made by `fill` has its own", minimum=0)
+    skin: Length = options.skin(Length(0.0), note="of a homogenized part; a part made by `fill` has its own", minimum=0,
+                                maximum=1e6)  # fmt: skip
     density: tuple[float, float] = option(
         (0.2, 0.7), help="relative densities over which the law of the recipe is measured", above=0, below=1
     )

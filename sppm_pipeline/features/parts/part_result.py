@@ -18,7 +18,8 @@ SHOWN = 0.08
 """Largest displacement in pictures, over the diagonal of the part, if it is smaller."""
 
 TOP = 99.9
-"""Percentile of the stress over the solid that counts as the largest: at notches between voxels it has no limit."""
+"""Percentile over the solid that counts as the largest: stress has no limit at notches between voxels, nor has the
+displacement of what hangs by an edge of a voxel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class PartResult(Report, Viewable):
     compliance : float
         Twice the energy that loads and given displacements store, N mm, weighted over the cases.
     deflection : float
-        Largest displacement of all cases, mm.
+        Largest displacement of all cases, mm: 99.9 % of the nodes move less.
     stress : float
         99.9 % of the solid bear less, in every case: von Mises, MPa. Of a homogenized part the mean over its walls.
     safety : float or None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +27,91 @@ def surface_of(body: VoxelBody) -> tuple[NDArray[np.int64], NDArray[np.int32], N
     return nodes, corners.reshape(-1, 3).astype(np.int32), np.concatenate([faces.voxel, faces.voxel])
 
 
+SHOWN = 1 << 20
+"""Solid voxels of which the surface is kept; larger bodies are coarsened, as no picture shows them."""
+
+
+class Shell(NamedTuple):
+    """The surface of a body, on blocks of its voxels if these are many.
+
+    Attributes
+    ----------
+    block : int
+        Voxels along the edge of a block.
+    solid : (nz, ny, nx) bool
+        The body itself.
+    coarse : VoxelBody
+        Blocks, solid where half of their voxels are.
+    nodes, triangles, voxels
+        As `surface_of` has them, of the blocks.
+    points : (n, 3) float32
+    """
+
+    block: int
+    solid: NDArray[np.bool_]
+    coarse: VoxelBody
+    nodes: NDArray[np.int64]
+    triangles: NDArray[np.int32]
+    voxels: NDArray[np.int64]
+    points: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, body: VoxelBody) -> Shell:
+        """The surface of a body."""
+        block = 1
+        while np.count_nonzero(body.solid) > SHOWN * block**3:
+            block += 1
+        share = _blocks(body.solid.astype(np.float32), block)
+        x, y, z = (block * h for h in body.edges)
+        coarse = VoxelBody(share >= 0.5, (x, y, z), body.origin) if block > 1 else body
+        nodes, triangles, voxels = surface_of(coarse)
+        return cls(block, body.solid, coarse, nodes, triangles, voxels, coarse.points(nodes).astype(np.float32))
+
+    def moved(self, u: NDArray[Any]) -> NDArray[np.float32]:
+        """Displacements (n, 3) of its points: of blocks, the means of the solid voxels around them."""
+        if self.block == 1:
+            return np.asarray(u.reshape(3, -1)[:, self.nodes].T, np.float32)
+        found = []
+        for one in u:
+            sums, counts = np.zeros(self.coarse.nodes, np.float32), np.zeros(self.coarse.nodes, np.float32)
+            own = _blocks(np.where(self.solid, one[:-1, :-1, :-1], 0), self.block)
+            there = _blocks(self.solid.astype(np.float32), self.block)
+            nz, ny, nx = own.shape
+            for a in range(8):
+                to = slice(a >> 2, nz + (a >> 2)), slice(a >> 1 & 1, ny + (a >> 1 & 1)), slice(a & 1, nx + (a & 1))
+                sums[to] += own
+                counts[to] += there
+            found.append((sums / np.maximum(counts, 1e-30)).reshape(-1)[self.nodes])
+        return np.stack(found, axis=1)
+
+    def stresses(self, stress: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Stresses (m,) of its triangles: of blocks, the means of their solid."""
+        if self.block > 1:
+            share = _blocks(self.solid.astype(np.float32), self.block)
+            stress = np.asarray(_blocks(stress, self.block) / np.maximum(share, 1e-30), np.float32)
+        return np.asarray(stress.reshape(-1)[self.voxels])
+
+
+def _blocks(values: NDArray[Any], block: int) -> NDArray[np.float32]:
+    """Means of blocks; those at the ends are filled up with zeros."""
+    if block == 1:
+        return np.asarray(values, np.float32)
+    for axis in range(3):
+        n = values.shape[axis]
+        starts = np.arange(0, n, block)
+        values = np.add.reduceat(values, starts, axis=axis) / np.float32(block)
+    return np.asarray(values, np.float32)
+
+
 def conditions_picture(body: VoxelBody, cases: list[tuple[str, Applied]], size: tuple[int, int]) -> NDArray[np.uint8]:
     """The part once for each case: blue where it is held, red where it is pulled, orange where it is pressed."""
     nodes, triangles, _ = surface_of(body)
-    points = body.points(nodes)
+    points, every = body.points(nodes), exposed_faces(body).keys
     pictures = []
     for _, one in cases:
         colors = np.tile(np.array(BONE, np.uint8), (len(triangles) // 2, 1))
         for condition, faces in one.regions:
-            colors[faces] = COLORS[condition.kind]
+            colors[np.isin(every, faces.keys)] = COLORS[condition.kind]
         both = np.concatenate([colors, colors])
         pictures.append(render_mesh(points, triangles, camera=CAMERA, size=size, face_colors=both, smooth=False))
     return np.asarray(contact_sheet(pictures, [name for name, _ in cases], columns=min(3, len(pictures))))

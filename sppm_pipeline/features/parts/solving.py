@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from sppm_pipeline import Context, DesignError
 from sppm_pipeline.features.parts.numerics.voxel_body import Applied, VoxelBody, applied, held_solid
 from sppm_pipeline.features.parts.part_result import TOP, PartResult
-from sppm_pipeline.features.parts.pictures import surface_of
+from sppm_pipeline.features.parts.pictures import Shell
 from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases
 from sppm_pipeline.services.elastic.elastic_level import Moduli
-from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of, unpacked, von_mises
+from sppm_pipeline.services.elastic.loaded import HeldBody, Loaded, strains_of, unpacked, von_mises
 
 LARGE = 0.1
 """Displacement, over the longest side of the part, from which on linear elasticity is doubtful; ten times as much is no
@@ -79,8 +79,9 @@ def simulated(
     iterations: int,
     yield_stress: float | None,
     has_mass: bool,
+    keep: bool = False,
 ) -> tuple[PartResult, Mapping[str, dict[str, NDArray[Any]]]]:
-    """Solve all cases: the result, and displacements and stresses on all voxels of each for files."""
+    """Solve all cases: the result, and with `keep` displacements and stresses on all voxels of each, for files."""
     numbers: dict[str, Any] = {}
     compliance, worst_move, worst_stress, loose = 0.0, 0.0, 0.0, 0.0
     surface, solver, last = None, None, None
@@ -90,19 +91,24 @@ def simulated(
         one, solid = ready.applied, ready.body.solid
         if solver is None or last is None or not np.array_equal(one.fixed, last):
             solver, last = model.held(solid, one.fixed, np.float32), one.fixed
-        found = solver.solve(one.loads, one.given, residual=1e-6, energy=tolerance, iterations=iterations)
+        found = solved(solver, one, None, residual=1e-6, energy=tolerance, iterations=iterations)
         if not found.solved.converged:
             context.warn(
                 f"case {case.name!r}: after {found.solved.iterations} iterations an estimated error of "
                 f"{min(found.solved.error, 1):.1g} is left; allow more `iterations`"
             )
         u = found.displacement
-        u *= ready.body.used()
-        forces = solver.forces(u).astype(np.float64)
-        # work of the loads, and of what holds along given displacements
-        energy = float((one.loads * u).sum(dtype=np.float64) + ((forces - one.loads) * one.given).sum())
-        reaction = [float((forces[axis] - one.loads[axis])[one.fixed[axis]].sum()) for axis in range(3)]
-        move = float(np.sqrt((u.astype(np.float64) ** 2).sum(axis=0)).max())
+        used = ready.body.used()
+        u *= used
+        forces = solver.forces(u)
+        energy = sum(works(one, u, forces))
+        # what is held carries the forces there, less the loads that act on it
+        own = one.fixed.reshape(-1)[one.pulled.at]
+        direct = np.bincount(one.pulled.at[own] // (u.size // 3), one.pulled.values[own], 3)
+        reaction = [float(forces[k][one.fixed[k]].sum(dtype=np.float64) - direct[k]) for k in range(3)]
+        del forces
+        # of pieces that hang by an edge of a voxel the movement says nothing
+        move = float(np.sqrt(np.percentile(np.einsum("c...,c...->...", u, u)[used], TOP)))
         _check_move(context, case, move, ready.body)
         stress = _stress(model, solid, u)
         top = float(np.percentile(stress[solid], TOP))
@@ -113,25 +119,46 @@ def simulated(
         compliance += case.weight * energy
         worst_move, worst_stress, loose = max(worst_move, move), max(worst_stress, top), max(loose, ready.loose)
         if surface is None:
-            surface = surface_of(ready.body)
-        nodes, _, voxels = surface
-        moved.append(u.reshape(3, -1)[:, nodes].T)
-        stresses.append(stress.reshape(-1)[voxels])
-        full[case.name] = {"displacement": u, "stress": stress}
+            surface = Shell.of(ready.body)
+        moved.append(surface.moved(u))
+        stresses.append(surface.stresses(stress))
+        if keep:
+            full[case.name] = {"displacement": u, "stress": stress}
         context.progress(number + 1, len(cases.cases), "load cases")
     assert surface is not None
     if loose:
         context.warn(f"{loose:.2g} of the solid is not held by anything, and left out")
-    nodes, triangles, _ = surface
     result = PartResult(
         "resolved" if model.walls is None else "homogenized", compliance, worst_move, worst_stress,
         safety=yield_stress / worst_stress if yield_stress and worst_stress else None,
         mass=float(model.mass.sum(dtype=np.float64)) if has_mass else None, loose=loose,
         elements=int(np.count_nonzero(model.body.solid)), cases=numbers,
-        points=model.body.points(nodes).astype(np.float32), triangles=triangles,
+        points=surface.points, triangles=surface.triangles,
         moved=np.stack(moved).astype(np.float32), stresses=np.stack(stresses).astype(np.float32),
     )  # fmt: skip
     return result, full
+
+
+def solved(solver: HeldBody, one: Applied, start: NDArray[Any] | None, **stop: Any) -> Loaded:
+    """`HeldBody.solve`; `DesignError` where it breaks down."""
+    try:
+        return solver.solve(one.pulled, one.moved, start, **stop)
+    except ArithmeticError as error:
+        raise DesignError(
+            f"the part can't be solved: {error}",
+            hint="look at the picture of the conditions; is what is held joined to what is loaded?",
+        ) from None
+
+
+def works(one: Applied, u: NDArray[Any], forces: NDArray[Any]) -> tuple[float, float]:
+    """Twice the work of the loads, and of what moves the displacements that are given, from forces of displacements."""
+    pulled, moved = one.pulled, one.moved
+    loads = float(pulled.values @ u.reshape(-1)[pulled.at].astype(np.float64))
+    if not len(moved.at):
+        return loads, 0.0
+    there = np.isin(pulled.at, moved.at)
+    direct = float(pulled.values[there] @ u.reshape(-1)[pulled.at[there]].astype(np.float64))
+    return loads, float(moved.values @ forces.reshape(-1)[moved.at].astype(np.float64)) - direct
 
 
 def _check_move(context: Context, case: LoadCase, move: float, body: VoxelBody) -> None:

@@ -25,6 +25,7 @@ from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, coarser, node_
 from sppm_pipeline.services.multigrid.rows import APPLY
 from sppm_pipeline.services.multigrid.solver import Solved, Stop, solve
 from sppm_pipeline.services.multigrid.transfer import NodalTransfer, coarsened
+from sppm_pipeline.services.multigrid.vectors import dot
 
 UPPER = np.triu_indices(6)
 """Rows and columns of the 21 constants of a stiffness."""
@@ -137,6 +138,25 @@ def _held_below(fixed: NDArray[np.bool_], shape: tuple[int, int, int]) -> NDArra
     return np.ascontiguousarray(fixed)
 
 
+class NodalValues(NamedTuple):
+    """Values of some of the unknowns, which are components first: places in the flat array (m,), and values (m,)."""
+
+    at: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, dense: NDArray[Any]) -> NodalValues:
+        """Those of a whole array that are not zero."""
+        at = np.flatnonzero(dense)
+        return cls(at, dense.reshape(-1)[at].astype(np.float64))
+
+    def dense(self, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """The whole array."""
+        made = np.zeros(int(np.prod(shape)))
+        made[self.at] = self.values
+        return made.reshape(shape)
+
+
 class Loaded(NamedTuple):
     """Displacements (3, nz + 1, ny + 1, nx + 1) of a body of nz, ny, nx voxels, and how they were found."""
 
@@ -205,8 +225,8 @@ class HeldBody:
 
     def solve(
         self,
-        loads: NDArray[Any],
-        given: NDArray[Any] | None = None,
+        loads: NDArray[Any] | NodalValues,
+        given: NDArray[Any] | NodalValues | None = None,
         start: NDArray[Any] | None = None,
         *,
         residual: float = 1e-6,
@@ -217,11 +237,11 @@ class HeldBody:
 
         Parameters
         ----------
-        loads : (3, nz + 1, ny + 1, nx + 1)
+        loads : (3, nz + 1, ny + 1, nx + 1), or NodalValues
             Nodal forces.
-        given : the same shape, optional
+        given : the same, optional
             Displacements where they are held; zero if omitted.
-        start : the same shape, optional
+        start : (3, nz + 1, ny + 1, nx + 1), optional
             A guess, such as the solution for a body of nearly the same stiffness.
         residual : float
             Part of the loads, and of what given displacements cause, that may be left over.
@@ -235,42 +255,50 @@ class HeldBody:
         ArithmeticError
             If the preconditioner breaks down, as rounding makes it where nothing holds a piece.
         """
-        dtype = self._free.c.dtype
-        u = np.zeros(loads.size, dtype) if start is None else np.array(start.reshape(-1), dtype)
-        fixed = self.fixed.reshape(-1)
-        u[fixed] = 0 if given is None else given.reshape(-1)[fixed]
-        b, step, p = (np.empty(loads.size, dtype) for _ in range(3))
+        dtype, fixed = self._free.c.dtype, self.fixed.reshape(-1)
+        pulled = loads if isinstance(loads, NodalValues) else NodalValues.of(loads)
+        moved = given if isinstance(given, NodalValues | None) else NodalValues.of(np.where(self.fixed, given, 0))
+        b, p = (np.empty(fixed.size, dtype) for _ in range(2))
 
-        def left_over() -> float:
-            self._free.apply(APPLY, u, u, b, self._work)
-            np.subtract(loads.reshape(-1), b, out=b, casting="same_kind")
+        def held() -> NDArray[Any]:
+            made = np.zeros(fixed.size, dtype)
+            if moved is not None:
+                made[moved.at] = moved.values
+            return made
+
+        def left_over(u: NDArray[Any]) -> float:
+            if u.any():
+                self._free.apply(APPLY, u, u, b, self._work)
+                np.negative(b, out=b)
+            else:
+                b[:] = 0
+            np.add.at(b, pulled.at, pulled.values.astype(dtype))
             b[fixed] = 0
-            return float(np.linalg.norm(b.astype(np.float64, copy=False)))
+            return float(np.sqrt(dot(b, b)))
 
-        if start is None:
-            whole = first = left_over()
-        else:  # measured against what there is without the guess
-            kept = np.where(fixed, u, 0).astype(dtype)
-            u, kept = kept, u
-            whole = left_over()
-            u = kept
-            first = left_over()
+        u = held()
+        whole = first = left_over(u)
+        if start is not None:  # measured against what there is without the guess
+            np.copyto(u, start.reshape(-1), where=~fixed, casting="same_kind")
+            first = left_over(u)
         done, error, converged = 0, np.inf, whole == 0 or first <= residual * whole
         for _ in range(_RESTARTS):
             if converged or done >= iterations:
                 break
             stop = Stop(residual * whole / first, energy, iterations - done)
+            step = np.empty_like(u) if u.any() else u  # large bodies have no room for another vector
             found = solve(self.hierarchy, b, step, p, self._work, stop, 0.0, 1e-300)
             done += found.iterations
             if not found.definite:
                 raise ArithmeticError("the preconditioner is not positive definite")
-            u += step
-            error, last, first = found.error, first, left_over()
+            if step is not u:
+                u += step
+            error, last, first = found.error, first, left_over(u)
             converged = first <= residual * whole or 0 < energy >= error
             if first > 0.5 * last:  # rounding
                 break
         part = first / whole if whole else 0.0
-        return Loaded(u.reshape(loads.shape), Solved(done, part, 0.0, float(error), bool(converged), True))
+        return Loaded(u.reshape(self.fixed.shape), Solved(done, part, 0.0, float(error), bool(converged), True))
 
 
 @jit

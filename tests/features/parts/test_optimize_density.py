@@ -138,7 +138,9 @@ def test_search_is_as_good_as_an_independent_one(half_mbb):
     cone = ConeFilter(shared.body.solid, shared.body.edges, 1.0)
     density, history = search._search(PlainContext(), problem, bounds, cone)
     ready = problem._ready[0].applied
-    other = independent_search(law, shared, ready.loads, ready.fixed, 1.0, 0.4, search.density, 26)
+    other = independent_search(
+        law, shared, ready.pulled.dense(ready.fixed.shape), ready.fixed, 1.0, 0.4, search.density, 26
+    )
     assert history[0] == pytest.approx(other[0], rel=1e-4)
     assert history[-1] == pytest.approx(other[-1], rel=0.03)
     assert history[0] / history[-1] > 1.4

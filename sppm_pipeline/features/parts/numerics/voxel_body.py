@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.nouns.conditions import AXES, Condition, LoadCase
+from sppm_pipeline.method.nouns.conditions import AXES, Condition, LoadCase, Region
 from sppm_pipeline.numerics import VOXEL_FACES
+from sppm_pipeline.services.elastic.loaded import NodalValues
 
 REACH, PLANE_REACH = 1.0, 0.75
 """Voxel edges from a region within which faces belong to it: voxels replace a curved wall by steps of one edge. Ends of
@@ -64,51 +65,83 @@ class Faces(NamedTuple):
     """Faces of solid voxels at the void: corners (n, 4), counterclockwise from outside, axis, side and voxel (n,)."""
 
     corners: NDArray[np.int64]
-    axis: NDArray[np.int8]
-    side: NDArray[np.int8]
+    axis: NDArray[np.int64]
+    side: NDArray[np.int64]
     voxel: NDArray[np.int64]
 
+    @property
+    def keys(self) -> NDArray[np.int64]:
+        """A number of each face, the same in any selection."""
+        return self.voxel * 6 + self.axis * 2 + (self.side > 0)
 
-def exposed_faces(body: VoxelBody) -> Faces:
-    """All faces of the body."""
-    solid = body.solid
-    padded = np.pad(solid, 1)
-    _, ny, nx = body.nodes
-    found = []
+
+SLAB = 16
+"""Layers of voxels whose faces are looked at together: a large body has millions."""
+
+
+def exposed_faces(body: VoxelBody, region: Region | None = None) -> Faces:
+    """All faces of the body, or those that belong to a region."""
+    padded = np.pad(body.solid, 1)
+    nz, ny, nx = body.solid.shape
+    found = [(np.zeros((0, 4), np.int64), *(np.zeros(0, np.int64),) * 3)]
+    h, low = np.array(body.edges), np.array(body.origin)
     for beyond, corners in VOXEL_FACES:
-        x, y, z = beyond
-        bare = (
-            solid
-            & ~padded[1 + z : 1 + z + solid.shape[0], 1 + y : 1 + y + solid.shape[1], 1 + x :][:, :, : solid.shape[2]]
-        )
-        voxel = np.flatnonzero(bare)
-        k, j, i = np.unravel_index(voxel, solid.shape)
-        nodes = [((k + (c >> 2)) * ny + j + (c >> 1 & 1)) * nx + i + (c & 1) for c in corners]
         axis = int(np.flatnonzero(beyond)[0])
-        found.append((np.stack(nodes, axis=1), np.full(len(voxel), axis), np.full(len(voxel), beyond[axis]), voxel))
-    corners_of, axes, sides, voxels = (np.concatenate([one[n] for one in found]) for n in range(4))
-    return Faces(corners_of, axes.astype(np.int8), sides.astype(np.int8), voxels)
+        plane = region is not None and region.kind == "plane"
+        if plane and region is not None and axis != region.axis:
+            continue
+        x, y, z = beyond
+        for first in range(0, nz, SLAB):
+            last = min(nz, first + SLAB)
+            neighbor = padded[1 + z + first : 1 + z + last, 1 + y : 1 + y + ny, 1 + x : 1 + x + nx]
+            k, j, i = np.nonzero(body.solid[first:last] & ~neighbor)
+            k += first
+            if region is not None:
+                reach = PLANE_REACH * h[axis] if plane else REACH * float(h.max())
+                centers = (np.stack([i, j, k], axis=1) + 0.5 + 0.5 * np.array(beyond)) * h + low
+                near = region.distances(centers) <= reach * (1 + 1e-9)
+                k, j, i = k[near], j[near], i[near]
+            nodes = [((k + (c >> 2)) * (ny + 1) + j + (c >> 1 & 1)) * (nx + 1) + i + (c & 1) for c in corners]
+            ones = np.ones(len(k), np.int64)
+            found.append((np.stack(nodes, axis=1), axis * ones, beyond[axis] * ones, (k * ny + j) * nx + i))
+    return Faces(*(np.concatenate([one[n] for one in found]) for n in range(4)))
+
+
+def nodes_in(body: VoxelBody, region: Region, within: float) -> NDArray[np.int64]:
+    """Nodes of the body within a distance of a region."""
+    found = []
+    used, layer = body.used(), int(np.prod(body.nodes[1:]))
+    for k in range(body.nodes[0]):
+        nodes = np.flatnonzero(used[k]) + k * layer
+        found.append(nodes[region.distances(body.points(nodes)) <= within])
+    return np.concatenate(found)
 
 
 class Applied(NamedTuple):
-    """A load case on a body; arrays are (3, nz + 1, ny + 1, nx + 1).
+    """A load case on a body.
 
     Attributes
     ----------
-    fixed : bool
+    fixed : (3, nz + 1, ny + 1, nx + 1) bool
         Displacements that are given.
-    given : float64
-        What they are, mm; 0 elsewhere.
-    loads : float64
+    moved : NodalValues
+        Those that are not zero, mm.
+    pulled : NodalValues
         Nodal forces, N.
-    regions : tuple of (Condition, faces)
-        Which of the exposed faces each condition has got.
+    regions : tuple of (Condition, Faces)
+        What each condition has got of the surface.
     """
 
     fixed: NDArray[np.bool_]
-    given: NDArray[np.float64]
-    loads: NDArray[np.float64]
-    regions: tuple[tuple[Condition, NDArray[np.int64]], ...]
+    moved: NodalValues
+    pulled: NodalValues
+    regions: tuple[tuple[Condition, Faces], ...]
+
+    @property
+    def total(self) -> NDArray[np.float64]:
+        """Sum of the loads (3,), N."""
+        axis = self.pulled.at // (self.fixed.size // 3)
+        return np.asarray(np.bincount(axis, self.pulled.values, 3), np.float64)
 
 
 def applied(body: VoxelBody, case: LoadCase, mass: NDArray[np.floating]) -> Applied:
@@ -119,83 +152,93 @@ def applied(body: VoxelBody, case: LoadCase, mass: NDArray[np.floating]) -> Appl
     DesignError
         If a region touches nothing, or conditions contradict each other.
     """
-    faces, used = exposed_faces(body), body.used()
-    centers = body.points(faces.corners.reshape(-1)).reshape(-1, 4, 3).mean(axis=1)
-    inner = np.flatnonzero(used)
-    places = body.points(inner)
-    given = np.full((3, used.size), np.nan)
-    loads = np.zeros((3, used.size))
-    regions, owner = [], np.full((3, used.size), -1)
+    count = int(np.prod(body.nodes))
+    # unknowns, values, and the condition that they come from, in its order
+    held: list[tuple[NDArray[np.int64], float, int]] = []
+    loads: list[NodalValues] = []
+    regions = []
     h = np.array(body.edges)
     for number, one in enumerate(case.conditions):
-        plane = one.region.kind == "plane"
-        reach = PLANE_REACH * h[one.region.axis] if plane else REACH * float(h.max())
-        near = one.region.distances(centers) <= reach * (1 + 1e-9)
-        if plane:
-            near &= faces.axis == one.region.axis
-        chosen = np.flatnonzero(near)
-        within = 0.51 * h[one.region.axis] if plane and not len(chosen) else 1e-6 * float(h.min())
-        nodes = inner[one.region.distances(places) <= within]
-        if not len(chosen) and (one.kind == "pressure" or not len(nodes)):
-            low, high = places.min(axis=0), places.max(axis=0)
+        faces = exposed_faces(body, one.region)
+        on_plane = one.region.kind == "plane" and not len(faces.voxel)
+        nodes = nodes_in(body, one.region, 0.51 * h[one.region.axis] if on_plane else 1e-6 * float(h.min()))
+        if not len(faces.voxel) and (one.kind == "pressure" or not len(nodes)):
+            low, high = np.array(body.origin), np.array(body.origin) + h * body.solid.shape[::-1]
             raise DesignError(
                 f"case {case.name!r}: {one.region.text!r} touches nothing of the part, which lies in "
                 f"({', '.join(f'{v:g}' for v in low)}) to ({', '.join(f'{v:g}' for v in high)}) mm",
                 hint="is it in the same place and unit, and not in a void of the part?",
             )
-        regions.append((one, chosen))
+        regions.append((one, faces))
+        area = h.prod() / h[faces.axis] / 4
+        corners = faces.corners.reshape(-1)
         if one.kind == "displacement":
-            nodes = np.union1d(nodes, faces.corners[chosen])
-            for axis, value in enumerate(one.values):
-                if value is None:
-                    continue
-                before = given[axis, nodes]
-                if (clash := np.abs(before - value) > 1e-12).any():
-                    other = case.conditions[owner[axis, nodes[int(np.argmax(clash))]]]
-                    raise DesignError(
-                        f"case {case.name!r}: {other.region.text!r} and {one.region.text!r} move the same place along "
-                        f"{AXES[axis]} by {before[int(np.argmax(clash))]:g} and {value:g} mm",
-                        hint="leave out one of them, or give regions that do not meet",
-                    )
-                given[axis, nodes], owner[axis, nodes] = value, number
+            nodes = np.union1d(nodes, corners)
+            held += [
+                (axis * count + nodes, value, number) for axis, value in enumerate(one.values) if value is not None
+            ]
         elif one.kind == "force":
-            if len(chosen):
-                area = h.prod() / h[faces.axis[chosen]]
-                share = np.bincount(faces.corners[chosen].reshape(-1), np.repeat(area, 4), used.size)
-            else:
-                share = np.bincount(nodes, minlength=used.size).astype(np.float64)
-            for axis, value in enumerate(one.values):
-                loads[axis] += share * (float(value or 0) / float(share.sum()))
+            at, share = (corners, np.repeat(area, 4)) if len(corners) else (nodes, np.ones(len(nodes)))
+            loads += [
+                NodalValues(axis * count + at, share * (value / float(share.sum())))
+                for axis, value in enumerate(one.values) if value
+            ]  # fmt: skip
         else:
-            area = h.prod() / h[faces.axis[chosen]] * faces.side[chosen] * float(one.values[0] or 0) / 4
-            for axis in range(3):
-                here = faces.axis[chosen] == axis
-                corners = faces.corners[chosen][here]
-                loads[axis] -= np.bincount(corners.reshape(-1), np.repeat(area[here], 4), used.size)
+            push = np.repeat(-area * faces.side * float(one.values[0] or 0), 4)
+            loads.append(NodalValues(np.repeat(faces.axis, 4) * count + corners, push))
     if any(case.gravity):
         weight = np.zeros(body.nodes)
         nz, ny, nx = body.solid.shape
         for a in range(8):
             weight[(a >> 2) : nz + (a >> 2), (a >> 1 & 1) : ny + (a >> 1 & 1), (a & 1) : nx + (a & 1)] += mass / 8e3
-        loads += np.array(case.gravity)[:, None] * weight.reshape(-1)
-    fixed = ~np.isnan(given)
+        at = np.flatnonzero(weight)
+        loads += [
+            NodalValues(axis * count + at, weight.reshape(-1)[at] * g) for axis, g in enumerate(case.gravity) if g
+        ]  # fmt: skip
+    fixed, moved = _held(body, case, held)
+    at, back = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.at for one in loads)]), return_inverse=True)
+    values = np.concatenate([np.zeros(0), *(one.values for one in loads)])
+    pulled = NodalValues(at, np.asarray(np.bincount(back, values, len(at)), np.float64))
     for one in case.conditions:
         if one.kind == "force":
-            _check_acts(case, one, fixed, loads)
-    shape = (3, *body.nodes)
-    moved = np.nan_to_num(given)
-    if not (loads[~fixed].any() or moved.any()):
+            _check_acts(case, one, fixed.reshape(3, -1), pulled)
+    if not (pulled.values[~fixed.reshape(-1)[pulled.at]].any() or len(moved.at)):
         raise DesignError(
             f"case {case.name!r} has no load on what can move", hint="give a force, pressure, displacement or gravity"
         )
-    return Applied(fixed.reshape(shape), moved.reshape(shape), loads.reshape(shape), tuple(regions))
+    return Applied(fixed, moved, pulled, tuple(regions))
 
 
-def _check_acts(case: LoadCase, one: Condition, fixed: NDArray[np.bool_], loads: NDArray[np.float64]) -> None:
+def _held(
+    body: VoxelBody, case: LoadCase, held: list[tuple[NDArray[np.int64], float, int]]
+) -> tuple[NDArray[np.bool_], NodalValues]:
+    """Which displacements are given, and those that are not zero; conditions that contradict each other are refused."""
+    fixed = np.zeros((3, *body.nodes), bool)
+    at = np.concatenate([np.zeros(0, np.int64), *(one[0] for one in held)])
+    values = np.concatenate([np.zeros(0), *(np.full(len(one[0]), one[1]) for one in held)])
+    owner = np.concatenate([np.zeros(0, np.int64), *(np.full(len(one[0]), one[2]) for one in held)])
+    order = np.argsort(at, kind="stable")
+    at, values, owner = at[order], values[order], owner[order]
+    clash = np.flatnonzero((at[1:] == at[:-1]) & (np.abs(np.diff(values)) > 1e-12))
+    if len(clash):
+        k = int(clash[0])
+        one, other = (case.conditions[owner[n]].region.text for n in (k, k + 1))
+        raise DesignError(
+            f"case {case.name!r}: {one!r} and {other!r} move the same place along "
+            f"{AXES[int(at[k] // (fixed.size // 3))]} by {values[k]:g} and {values[k + 1]:g} mm",
+            hint="leave out one of them, or give regions that do not meet",
+        )
+    fixed.reshape(-1)[at] = True
+    first = np.concatenate([[True], at[1:] != at[:-1]])[: len(at)] & (values != 0)
+    return fixed, NodalValues(at[first], values[first])
+
+
+def _check_acts(case: LoadCase, one: Condition, fixed: NDArray[np.bool_], pulled: NodalValues) -> None:
     """Refuse forces that act only where the part is held along them: two conditions that contradict each other."""
+    axes, nodes = np.divmod(pulled.at, fixed.shape[1])
     for axis, value in enumerate(one.values):
-        here = loads[axis] != 0
-        if value and here.any() and fixed[axis, here].all():
+        here = nodes[axes == axis]
+        if value and len(here) and fixed[axis, here].all():
             raise DesignError(
                 f"case {case.name!r}: the force along {AXES[axis]} on {one.region.text!r} acts only where the part is "
                 "held along it",
@@ -236,10 +279,12 @@ def held_solid(body: VoxelBody, case: LoadCase, fixed: NDArray[np.bool_], *, dro
             np.stack([zero, one, zero, -z, zero, x], 1),
             np.stack([zero, zero, one, y, -x, zero], 1),
         ]
-        padded = np.pad(labels, 1)
-        k, j, i = np.unravel_index(nodes, body.nodes)
         # a corner of several pieces holds all of them
-        around = np.stack([padded[k + (a >> 2), j + (a >> 1 & 1), i + (a & 1)] for a in range(8)], axis=1)
+        around = np.zeros((len(nodes), 8), labels.dtype)
+        for a in range(8):
+            corner = np.stack(np.unravel_index(nodes, body.nodes)) - np.array([[a >> 2], [a >> 1 & 1], [a & 1]])
+            within = ((corner >= 0) & (corner < np.array(labels.shape)[:, None])).all(axis=0)
+            around[within, a] = labels[tuple(corner[:, within])]
         for piece in np.unique(around[around > 0]):
             mine = (around == piece).any(axis=1)
             for axis, row in enumerate(rows):

@@ -27,7 +27,7 @@ from sppm_pipeline.features.parts.bodies import SharedBody
 from sppm_pipeline.features.parts.material import LoadedPart, middles_of
 from sppm_pipeline.features.parts.numerics.density_law import DensityLaw
 from sppm_pipeline.features.parts.numerics.density_search import ConeFilter, updated
-from sppm_pipeline.features.parts.solving import Prepared, prepared
+from sppm_pipeline.features.parts.solving import Prepared, prepared, solved, works
 from sppm_pipeline.method.nouns.conditions import LoadCases, region_of
 from sppm_pipeline.method.nouns.maps import Grading, ImageLaw
 from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of
@@ -74,13 +74,15 @@ class OptimizeDensity(LoadedPart):
     )  # fmt: skip
     advice: ClassVar[str] = "give larger elements, or fewer `updates`"
 
-    mass: float | None = option(None, help="mass of the part, skin included; needs `solid_density`", unit="g", above=0)
+    mass: float | None = option(
+        None, help="mass of the part, skin included; needs `solid_density`", unit="g", above=0, maximum=1e9
+    )
     mean_density: float | None = option(
         None, help="mean relative density of the part, skin included, in place of a mass", above=0, below=1
     )
     deflection: Length | None = option(
         None, help="largest deflection, in place of a mass: the part is then made as light as that allows", unit="mm",
-        above=0,
+        above=0, maximum=1e6,
     )  # fmt: skip
     filter: float = option(
         1.0, help="radius of the cone over which densities are averaged; homogenization asks for a cell at least",
@@ -275,7 +277,7 @@ class Problem:
         if not self._ready or not weightless:
             self._ready = [prepared(model, case, drop=False) for case in self.cases.cases]
             self.force = sum(
-                one.case.weight * float(np.linalg.norm(one.applied.loads.sum(axis=(1, 2, 3)))) for one in self._ready
+                one.case.weight * float(np.linalg.norm(one.applied.total)) for one in self._ready
             ) or 1.0  # fmt: skip
         exact = self.dtype == np.float64  # forces themselves, of which the error of an energy is of second order
         slope = self._share * (1 - self.skin) * self.bearing * self.law.slope_at(density)
@@ -286,17 +288,15 @@ class Problem:
             fixed = one.applied.fixed
             if solver is None or last is None or not np.array_equal(last, fixed):
                 solver, last = model.held(one.body.solid, fixed, self.dtype), fixed
-            found = solver.solve(
-                one.applied.loads, one.applied.given, self._starts.get(one.case.name),
+            found = solved(
+                solver, one.applied, self._starts.get(one.case.name),
                 residual=stage.solver_tolerance if exact else 1e-6, energy=0.0 if exact else stage.solver_tolerance,
                 iterations=stage.iterations,
             )  # fmt: skip
             u = found.displacement
             self._starts[one.case.name] = u
             _, second = strains_of(u, one.body.solid, one.body.edges)
-            forces = solver.forces(u).astype(np.float64)
-            given = float(((forces - one.applied.loads) * one.applied.given).sum())
-            loads = float((one.applied.loads * u).sum(dtype=np.float64))
+            loads, given = works(one.applied, u, solver.forces(u))
             # a displacement that is given stores less energy in a softer part, a load more
             compliance += one.case.weight * (loads - given)
             gain += one.case.weight * (slope * second).sum(axis=0)

@@ -72,7 +72,8 @@ class SimulatePart(LoadedPart):
         0.08, help="depth below a surface without skin that bears nothing in a homogenized part: cells are cut there",
         unit="cell size", minimum=0, maximum=0.5,
     )  # fmt: skip
-    yield_stress: float | None = option(None, help="yield stress of the solid, MPa, for a safety factor", above=0)
+    yield_stress: float | None = option(None, help="yield stress of the solid, MPa, for a safety factor", above=0,
+                                        maximum=1e15)  # fmt: skip
     mesh: str | None = options.write_path(None, note="elements with displacement and stress of each case",
                                           suffixes=(".vtu",))  # fmt: skip
     deformed: str | None = options.write_path(None, note="the deformed part", suffixes=(".png",))
@@ -111,6 +112,7 @@ class SimulatePart(LoadedPart):
         result, full = simulated(
             context, model, cases, drop=recipe is None, tolerance=self.solver_tolerance, iterations=self.iterations,
             yield_stress=self.yield_stress if recipe is None else None, has_mass=self.solid_density is not None,
+            keep=self.mesh is not None,
         )  # fmt: skip
         if self.mesh is not None:
             self._write_mesh(context, model, full)
