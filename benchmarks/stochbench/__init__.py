@@ -1,0 +1,1 @@
+"""A benchmark of programs that make stochastic porous structures; see README.md."""

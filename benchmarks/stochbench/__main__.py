@@ -1,0 +1,70 @@
+"""``python -m benchmarks.stochbench``: run tools on tasks and print a table."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import time
+import warnings
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+HERE = Path(__file__).parent
+
+
+def load(path: Path) -> ModuleType:
+    """A tool or a checker, by its file."""
+    spec = importlib.util.spec_from_file_location(f"stochbench_{path.parent.name}_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def tools() -> dict[str, ModuleType]:
+    """Tools whose modules are installed, by name."""
+    found = {path.stem: load(path) for path in sorted((HERE / "tools").glob("*.py"))}
+    return {
+        name: tool for name, tool in found.items() if all(map(importlib.util.find_spec, getattr(tool, "NEEDS", ())))
+    }
+
+
+def tasks() -> dict[str, Path]:
+    """Folders of tasks, by name."""
+    return {path.parent.name: path.parent for path in sorted(HERE.glob("*/task.json"))}
+
+
+def run(tool: ModuleType, folder: Path) -> dict[str, Any]:
+    """The numbers of a tool in a task, and the seconds that it took to make the cells."""
+    task = json.loads((folder / "task.json").read_text(encoding="utf-8"))
+    began = time.process_time()
+    cells = [tool.make(**one) for one in task["inputs"]]
+    seconds = time.process_time() - began
+    for cell, one in zip(cells, task["inputs"], strict=True):
+        if cell.shape != (one["n"],) * 3 or cell.dtype != bool:
+            raise ValueError(f"a cell of {one} is {cell.shape} {cell.dtype}, and must be ({one['n']},)*3 bool")
+    return {**load(folder / "check.py").check(cells, task["inputs"], task["truth"]), "CPU s": round(seconds, 1)}
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tool", action="append", choices=list(tools()))
+    parser.add_argument("--task", action="append", choices=list(tasks()))
+    args = parser.parse_args()
+    warnings.simplefilter("ignore")  # a tool may say what it had to change to reach a porosity
+    for name, folder in tasks().items():
+        if args.task and name not in args.task:
+            continue
+        rows = {tool: run(module, folder) for tool, module in tools().items() if not args.tool or tool in args.tool}
+        heads = list(next(iter(rows.values())))
+        print(f"\n{name}\n\n| tool | {' | '.join(heads)} |\n|---|{'---|' * len(heads)}")
+        for tool, row in rows.items():
+            print(f"| {tool} | {' | '.join(f'{v:.4g}' if isinstance(v, float) else str(v) for v in row.values())} |")
+
+
+if __name__ == "__main__":
+    main()
