@@ -19,7 +19,7 @@ USES_OF_A_PATCH, LASTING_USES, BANK = 4, 30, 256 * 2**20
 """A tiling is sampled by cached patches if each is used as often, and if all take at most so many bytes, three times as
 many where the uses last; see `fields.tiling`."""
 
-PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.3, 0.8
+PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.5, 0.8
 """Coarse samples for each fine one up to which interpolating pays, if kernels are summed there, and if patches are:
 short rows of kernels cost twice as much a sample as long ones."""
 

@@ -78,22 +78,17 @@ def band_of(taps: Taps) -> Band:
     return Band(start.astype(np.uint64), np.where(counts, found, np.float32(0)))
 
 
-def stretch(coarse: F32, band: Band, rows: range, out: F32, wanted: I32 | None = None) -> None:
-    """Interpolate rows of coarse planes (n, cy, cx), column 0 for the first tap, along x into `out` (n, cy, nx').
+def stretch(coarse: F32, band: Band, wanted: I32, out: F32) -> None:
+    """Interpolate rows of a coarse plane (cy, cx), column 0 for the first tap, along x into `out` (cy, nx').
 
     `out` has as many samples as there are in all blocks. `wanted` (cy, 2) is the first block of each row that matters,
     and the one after the last; others are left as they are.
     """
-    if wanted is None:
-        wanted = np.tile(np.array([0, len(band.first)], np.int32), (coarse.shape[1], 1))
-    parts = np.uint64(band.first.shape[1])
-    ends = np.uint64(rows.start), np.uint64(rows.stop)
-    _stretch(coarse, band.first.reshape(-1), parts, band.weights.reshape(-1), *ends, wanted, out)
+    _stretch(coarse, band.first.reshape(-1), np.uint64(band.first.shape[1]), band.weights.reshape(-1), wanted, out)
 
 
 def interpolate_layers(
-    low: F32,
-    high: F32,
+    planes: F32,
     first: I64,
     weights: F32,
     taps: Taps,
@@ -108,16 +103,14 @@ def interpolate_layers(
     The value of a sample depends on its taps and the coarse samples alone, to the last bit, whichever rows and parts of
     rows are asked for.
 
-    `low` (n, cy, nx') and `high` (m, cy, nx'), which may be empty, are consecutive coarse planes, stretched along x;
-    row 0 is the first coarse sample of the first tap along y. `first` and `weights` are the taps of the layers along z,
-    counted from the first plane of `low`, `taps` those of the fine samples along y. `wanted` (layers, ny, 2) is the
-    first sample of each row that matters and the one after the last; others are left as they are. `field` or `solid`
-    (layers, ny, nx) receives the result.
+    `planes` (n, cy, nx') are coarse planes, stretched along x, plane k at k modulo n; row 0 is the first coarse sample
+    of the first tap along y. `first` and `weights` are the taps of the layers along z, `taps` those of the fine samples
+    along y. `wanted` (layers, ny, 2) is the first sample of each row that matters and the one after the last; others
+    are left as they are. `field` or `solid` (layers, ny, nx) receives the result.
     """
     coarse = int(taps.first[rows.stop - 1] - taps.first[rows.start]) + TAPS
     _interpolate_rows(
-        low,
-        high,
+        planes,
         first,
         weights,
         taps.first - taps.first[0],
@@ -126,7 +119,7 @@ def interpolate_layers(
         rows.start,
         rows.stop,
         wanted,
-        np.empty((coarse, low.shape[2]), np.float32),
+        np.empty((coarse, planes.shape[2]), np.float32),
         np.empty((1, 1, 1), np.float32) if field is None else field,
         np.empty((1, 1, 1), np.uint8) if solid is None else solid,
         solid is not None,
@@ -190,35 +183,67 @@ def _stretch(
     first: U64,
     parts: np.uint64,
     weights: F32,
-    row_start: np.uint64,
-    row_stop: np.uint64,
     wanted: I32,
     out: F32,
 ) -> None:
     """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
     step = np.uint64(TAPS * BLOCK)
     one, two, three, four, five = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)
-    for p in range(np.uint64(coarse.shape[0])):
-        for row in range(row_start, row_stop):
-            for block in range(np.uint64(wanted[row, 0]), np.uint64(max(wanted[row, 0], wanted[row, 1]))):
-                x = block * _BLOCK
+    for row in range(np.uint64(coarse.shape[0])):
+        for block in range(np.uint64(wanted[row, 0]), np.uint64(max(wanted[row, 0], wanted[row, 1]))):
+            x = block * _BLOCK
+            for i in range(_BLOCK):
+                out[row, x + i] = np.float32(0)
+            for number in range(block * parts, (block + one) * parts):
+                k, j = first[number], number * step
+                a, b, c = coarse[row, k], coarse[row, k + one], coarse[row, k + two]
+                d, e, f = coarse[row, k + three], coarse[row, k + four], coarse[row, k + five]
                 for i in range(_BLOCK):
-                    out[p, row, x + i] = np.float32(0)
-                for number in range(block * parts, (block + one) * parts):
-                    k, j = first[number], number * step
-                    a, b, c = coarse[p, row, k], coarse[p, row, k + one], coarse[p, row, k + two]
-                    d, e, f = coarse[p, row, k + three], coarse[p, row, k + four], coarse[p, row, k + five]
-                    for i in range(_BLOCK):
-                        near = out[p, row, x + i] + a * weights[j + i] + b * weights[j + i + _BLOCK]
-                        near = near + c * weights[j + i + two * _BLOCK] + d * weights[j + i + three * _BLOCK]
-                        far = near + e * weights[j + i + four * _BLOCK] + f * weights[j + i + five * _BLOCK]
-                        out[p, row, x + i] = far
+                    near = out[row, x + i] + a * weights[j + i] + b * weights[j + i + _BLOCK]
+                    near = near + c * weights[j + i + two * _BLOCK] + d * weights[j + i + three * _BLOCK]
+                    far = near + e * weights[j + i + four * _BLOCK] + f * weights[j + i + five * _BLOCK]
+                    out[row, x + i] = far
+
+
+@jit
+def coarse_rows(wanted: I32, layers: I64, rows: I64, out: I32) -> None:
+    """Write the parts of coarse rows, (planes, cy, 2) fine samples, that the `wanted` (layers, ny, 2) depend on.
+
+    `layers` and `rows` are the first taps of fine layers and rows. `out` is zero before.
+    """
+    for layer in range(wanted.shape[0]):
+        for row in range(wanted.shape[1]):
+            begin, end = wanted[layer, row, 0], wanted[layer, row, 1]
+            if begin < end:
+                for p in range(layers[layer], layers[layer] + TAPS):
+                    for q in range(rows[row], rows[row] + TAPS):
+                        if out[p, q, 0] < out[p, q, 1]:
+                            out[p, q, 0], out[p, q, 1] = min(out[p, q, 0], begin), max(out[p, q, 1], end)
+                        else:
+                            out[p, q, 0], out[p, q, 1] = begin, end
+
+
+@jit
+def logarithms(plane: F32, columns: I32, least: np.float32) -> None:
+    """Replace sums (cy, cx), or `least` where they are smaller, by logarithms in the `columns` (cy, 2) of rows."""
+    half, two, fraction = np.int32(0x3F3504F3), np.float32(2), np.float32(0.6931471805599453)
+    third, fifth, seventh, one = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7), np.float32(1)
+    for row in range(plane.shape[0]):
+        line = plane[row]
+        for i in range(np.uint64(columns[row, 0]), np.uint64(max(columns[row, 0], columns[row, 1]))):
+            bits = np.float32(max(line[i], least)).view(np.int32)
+            # a power of two and a mantissa between the roots of 1/2 and 2, whose logarithm is 2 artanh t
+            power = (bits - half) >> np.int32(23)
+            mantissa = np.int32(bits - (power << np.int32(23))).view(np.float32)
+            t = (mantissa - one) / (mantissa + one)
+            square = t * t
+            series = one + square * (third + square * (fifth + square * seventh))
+            line[i] = np.float32(power) * fraction + two * t * series
 
 
 @jit
 def _interpolate_rows(
-    low: F32,
-    high: F32,
+    planes: F32,
     first: I64,
     weights: F32,
     y_first: I64,
@@ -233,7 +258,7 @@ def _interpolate_rows(
     threshold: bool,
 ) -> None:
     """Layer by layer: coarse rows along z, each as far as any fine row near it wants it, then the fine rows."""
-    base, planes = y_first[row_start], low.shape[0]
+    base, n = y_first[row_start], planes.shape[0]
     start = np.empty(kept.shape[0], np.int64)
     stop = np.empty(kept.shape[0], np.int64)
     for layer in range(len(first)):
@@ -244,12 +269,8 @@ def _interpolate_rows(
                 for k in range(y_first[y] - base, y_first[y] - base + TAPS):
                     start[k], stop[k] = min(start[k], begin), max(stop[k], end)
         f = first[layer]
-        p0 = low[f] if f < planes else high[f - planes]
-        p1 = low[f + 1] if f + 1 < planes else high[f + 1 - planes]
-        p2 = low[f + 2] if f + 2 < planes else high[f + 2 - planes]
-        p3 = low[f + 3] if f + 3 < planes else high[f + 3 - planes]
-        p4 = low[f + 4] if f + 4 < planes else high[f + 4 - planes]
-        p5 = low[f + 5] if f + 5 < planes else high[f + 5 - planes]
+        p0, p1, p2 = planes[f % n], planes[(f + 1) % n], planes[(f + 2) % n]
+        p3, p4, p5 = planes[(f + 3) % n], planes[(f + 4) % n], planes[(f + 5) % n]
         for k in range(kept.shape[0]):
             if start[k] < stop[k]:
                 span = np.uint64(start[k]), np.uint64(stop[k])

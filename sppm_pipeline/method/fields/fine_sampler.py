@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from itertools import pairwise, product
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.occupancy import spans_in_any
 from sppm_pipeline.services.arrays import F32, I32, U8
@@ -17,23 +16,23 @@ from sppm_pipeline.services.interpolation import (
     BEFORE,
     BLOCK,
     TAPS,
-    Band,
     band_of,
+    coarse_rows,
     interpolate_layers,
+    logarithms,
     stretch,
     taps_at,
 )
 from sppm_pipeline.services.threads import share_out
 
 if TYPE_CHECKING:
-    from sppm_pipeline.method.fields.kernel_sum import KernelSum, Patches
+    from sppm_pipeline.method.fields.kernel_sum import KernelSum
 
-CHUNK_SAMPLES = 2**22
-"""Samples of coarse planes that are summed and kept at a time, two such chunks at once. Of 16 MB, whose memory is used
-again; that of larger ones comes fresh from the system, which takes as long as to fill it."""
+MOST_SAMPLES = 2**22
+"""Samples of coarse planes, stretched along x, that are kept at a time: 16 MB, unless `LEAST_PLANES` are more."""
 
 LEAST_PLANES = 8
-"""Coarse planes of a chunk at the least, so that kernels are not listed again for each plane."""
+"""Coarse planes that are summed together at the least, so that kernels are not listed again for each plane."""
 
 BAND_SAMPLES = 2**15
 """Samples of a coarse plane, stretched along x, whose rows are interpolated at a time, layer after layer, so that the
@@ -43,12 +42,18 @@ MARGIN = BEFORE + 1
 """Coarse samples beyond the lattice that are summed with its outermost cells."""
 
 
-NEARBY = 4
-"""Coarse rows beyond those wanted whose patches are added up as well, as the next layers may want them."""
+NEARBY = 6
+"""Coarse rows beyond those wanted that are summed as well, as the next layers may want them."""
+
+CELLS_ALONG, CELLS_ACROSS = 4, 2
+"""Cells along x and y whose kernels are listed and summed together: short rows cost more a sample than long ones."""
+
+LEAST = 1e-3
+"""Sums below this fraction of the level are taken for it: no sample near the level is interpolated from such."""
 
 
 class Span(NamedTuple):
-    """Coarse samples along one axis that are summed together: those of a cell, with its margin at the border."""
+    """Coarse samples along one axis that are summed together: those of cells, with the margin at the border."""
 
     first: int
     samples: int
@@ -61,8 +66,9 @@ class FineSampler:
 
     The last coarse planes are kept; threads that ask for layers at once take turns. The coarse grid, with `per_cell`
     samples along a cell edge, has its origin at that of the lattice and divides the cells, and its samples are summed
-    cell by cell: a sample depends on its position alone, neither on the grid it belongs to nor on what else is asked
-    for. The field is not kept.
+    by blocks of cells: a sample depends on its position alone, neither on the grid it belongs to nor on what else is
+    asked for. What is interpolated is the logarithm of the sum: that of a single kernel is a distance or its square,
+    which polynomials follow much more closely. The field is not kept.
     """
 
     def __init__(self, field: KernelSum, grid: Grid, per_cell: int) -> None:
@@ -72,17 +78,20 @@ class FineSampler:
         self._band = band_of(self._taps[0])
         self._window = [range(int(taps.first[0]), int(taps.first[-1]) + TAPS) for taps in self._taps]
         self._spans = [
-            _spans(window, per_cell, cells, field.periodic)
-            for window, cells in zip(self._window[:2], field.cells[:2], strict=True)
+            _spans(window, per_cell, cells, field.periodic, along)
+            for window, cells, along in zip(self._window[:2], field.cells[:2], (CELLS_ALONG, CELLS_ACROSS), strict=True)
         ]
         plane = grid.shape[0] * len(self._window[1])
-        self._height = max(LEAST_PLANES, min(per_cell + 2 * MARGIN, CHUNK_SAMPLES // plane))
+        self._height = TAPS - 1 + max(LEAST_PLANES, min(per_cell, MOST_SAMPLES // plane))
         rows = max(TAPS, BAND_SAMPLES // grid.shape[0])
         self._band_rows = max(1, rows * grid.shape[1] // len(self._window[1]))
-        self._chunks: dict[int, _Chunk] = {}
-        self._rooms: list[NDArray[np.float32]] = []
-        self._sums = np.zeros((0, 0, 0), np.float32)
+        self._forget()
         self._lock = Lock()
+
+    def _forget(self) -> None:
+        # plane k lies at k modulo the height; of each of its rows these blocks are there
+        self._planes, self._blocks = range(0), np.zeros((self._height, len(self._window[1]), 2), np.int32)
+        self._stretched = self._sums = np.zeros((0, 0, 0), np.float32)
 
     def sample(
         self,
@@ -99,22 +108,19 @@ class FineSampler:
             nx, ny, nz = self.of[0].shape
             if wanted is None:
                 wanted = np.tile(np.array([0, nx], np.int32), (stop - start, ny, 1))
-            spans, (_, y, z), level = wanted, self._taps, field.solid_below
-            for first, last in self._groups(start, stop):
+            spans, (_, y, z), level = wanted, self._taps, math.log(field.solid_below)
+            first = start
+            while first < stop:
+                # as many layers as the planes that are kept are enough for
+                most = int(z.first[first]) + self._height - TAPS
+                last = max(first + 1, int(np.searchsorted(z.first[:stop], most, "right")))
                 own = slice(first - start, last - start)
-                low, *more = self._chunks_of(field, first, last, spans[own], threads)
+                self._complete(field, first, last, spans[own], threads)
 
-                def work(
-                    row: int,
-                    layers: slice = slice(first, last),
-                    own: slice = own,
-                    low: _Chunk = low,
-                    high: _Chunk = more[0] if more else low,
-                ) -> None:
+                def work(row: int, layers: slice = slice(first, last), own: slice = own) -> None:
                     interpolate_layers(
-                        low.stretched,
-                        high.stretched,
-                        z.first[layers] - low.planes.start,
+                        self._stretched,
+                        z.first[layers],
                         z.weights[layers],
                         y,
                         level,
@@ -125,169 +131,130 @@ class FineSampler:
                     )
 
                 share_out(work, range(0, ny, self._band_rows), threads)
+                first = last
+            if values is not None:  # G - C from ln (G / C)
+                np.exp(values, out=values)
+                values -= 1
+                values *= np.float32(field.solid_below)
             if stop == nz:
-                self._chunks, self._rooms, self._sums = {}, [], np.zeros((0, 0, 0), np.float32)
+                self._forget()
 
-    def _groups(self, start: int, stop: int) -> list[tuple[int, int]]:
-        """Runs of layers that are interpolated from the same chunks."""
-        low = self._taps[2].first[start:stop] + MARGIN
-        changes = (np.diff(low // self._height) != 0) | (np.diff((low + TAPS - 1) // self._height) != 0)
-        return list(pairwise([start, *(int(c) + 1 + start for c in np.flatnonzero(changes)), stop]))
-
-    def _chunks_of(self, field: KernelSum, first: int, last: int, wanted: I32, threads: int) -> list[_Chunk]:
-        """The one or two chunks for layers first <= k < last, with all samples that the wanted ones depend on."""
-        low, high = (int(self._taps[2].first[layer]) for layer in (first, last - 1))
-        high += TAPS - 1
-        x, y, z = self._window
-        numbers = range((low + MARGIN) // self._height, (high + MARGIN) // self._height + 1)
-        for c in set(self._chunks) - set(numbers):  # fresh memory takes longer to get than to fill
-            self._rooms.append(self._chunks.pop(c).room)
-        for c in set(numbers) - set(self._chunks):
-            first = c * self._height - MARGIN
-            planes = range(max(first, z.start), min(first + self._height, z.stop))
-            room = self._rooms.pop() if self._rooms else self._new_room(len(self._band.first) * BLOCK)
-            self._chunks[c] = _Chunk(planes, x, y, self._band, room)
-        chunks = [self._chunks[c] for c in numbers]
-        if (patches := field.patches(self._n, 0.0, threads)) is not None:
-            rows = self._coarse_rows(spans_in_any(wanted))
-            for chunk in chunks:
-                chunk.add_patches(patches, rows, self._scratch, threads)
+    def _complete(self, field: KernelSum, first: int, last: int, wanted: I32, threads: int) -> None:
+        """Sum the planes for layers first <= k < last, with all samples that the wanted ones depend on."""
+        start, stop = int(self._taps[2].first[first]), int(self._taps[2].first[last - 1]) + TAPS
+        if not self._stretched.size:
+            shape = self._height, len(self._window[1])
+            self._stretched = np.empty((*shape, len(self._band.first) * BLOCK), np.float32)
+            self._sums = np.empty((*shape, len(self._window[0])), np.float32)
+        old = range(start, self._planes.stop if start in self._planes else start)
+        new, needed = range(old.stop, max(old.stop, stop)), self._needed(first, last, wanted)
+        if len(new):  # the next layers want about the same of the last planes
+            last_planes = self._widened(spans_in_any(needed[1 - TAPS :]))
+            needed[max(len(old), len(needed) + 1 - TAPS) :] = last_planes
+            stop = max(stop, min(old.stop + LEAST_PLANES, start + self._height, self._window[2].stop))
+            new = range(old.stop, stop)
+            needed = np.concatenate([needed, np.tile(last_planes, (stop - start - len(needed), 1, 1))])
         else:
-            columns = self._columns(wanted)
-            for chunk in chunks:
-                chunk.sum_columns(field, self._n, columns - chunk.done, self._spans, threads)
-        return chunks
+            needed = np.pad(needed, ((0, len(old) - len(needed)), (0, 0), (0, 0)))
+        # an interrupt may come, and the field be asked again
+        planes, self._planes = range(start, new.stop), range(0)
+        self._blocks[np.array(new, np.int64) % self._height] = 0
+        slots = np.array(planes, np.int64) % self._height
+        done, (low, high) = self._blocks[slots], np.moveaxis(needed, -1, 0)
+        there, empty = low < high, done[..., 0] >= done[..., 1]
+        before = np.stack([low, np.where(there & ~empty, np.minimum(done[..., 0], high), low)], axis=-1)
+        after = np.stack([np.where(empty, low, np.maximum(done[..., 1], low)), high], axis=-1)
+        for some, blocks in ((old, before[: len(old)]), (old, after[: len(old)]), (new, needed[len(old) :])):
+            if len(some) and (blocks[..., 0] < blocks[..., 1]).any():
+                self._sum(field, some, np.where(blocks[..., :1] < blocks[..., 1:], blocks, 0), threads)
+        self._blocks[slots] = _hulls(done, needed)
+        self._planes = planes
 
-    def _new_room(self, columns: int) -> F32:
-        return np.empty((self._height, len(self._window[1]), columns), np.float32)
+    def _needed(self, first: int, last: int, wanted: I32) -> I32:
+        """Blocks (planes, cy, 2) of coarse rows that the wanted samples of layers first <= k < last depend on."""
+        layers, rows = self._taps[2].first[first:last], self._taps[1].first
+        out = np.zeros((int(layers[-1] - layers[0]) + TAPS, len(self._window[1]), 2), np.int32)
+        coarse_rows(wanted, layers - layers[0], rows - rows[0], out)
+        return np.asarray(np.stack([out[..., 0] // BLOCK, -(-out[..., 1] // BLOCK)], axis=-1))
 
-    def _scratch(self) -> F32:
-        """Room for the sums of a chunk, for one after the other."""
-        if not self._sums.size:
-            self._sums = self._new_room(len(self._window[0]))
-        return self._sums
+    def _widened(self, blocks: I32) -> I32:
+        """Ranges of blocks (cy, 2), one more on either side, joined with those of `NEARBY` rows."""
+        most = len(self._band.first)
+        low, high = np.where(blocks[:, 0] < blocks[:, 1], blocks.T, [[most], [0]])
+        wide_low, wide_high = low.copy(), high.copy()
+        for by in range(1, NEARBY + 1):
+            for to, of in ((slice(by, None), slice(-by)), (slice(-by), slice(by, None))):
+                wide_low[to] = np.minimum(wide_low[to], low[of])
+                wide_high[to] = np.maximum(wide_high[to], high[of])
+        wide = np.stack([np.maximum(wide_low - 1, 0), np.minimum(wide_high + 1, most)], axis=-1)
+        return np.where((wide_low < wide_high)[:, None], wide, 0).astype(np.int32)
 
-    def _coarse_rows(self, wanted: I32) -> I32:
-        """Span of each coarse row, in fine samples, needed for the wanted part of each fine row; both (rows, 2)."""
-        first = self._taps[1].first - self._taps[1].first[0]
-        rows = np.empty((len(self._window[1]), 2), np.int32)
-        rows[:] = self.of[0].shape[0], 0
-        for tap in range(TAPS):
-            np.minimum.at(rows[:, 0], first + tap, wanted[:, 0])
-            np.maximum.at(rows[:, 1], first + tap, wanted[:, 1])
-        return rows
+    def _sum(self, field: KernelSum, planes: range, blocks: I32, threads: int) -> None:
+        """Sum some blocks (planes, cy, 2) of the rows of planes, and stretch their logarithms."""
+        x, y, _ = self._window
+        first = self._band.first.astype(np.int32)
+        columns = np.stack([first[blocks[..., 0], 0], first[blocks[..., 1] - 1, -1] + TAPS], axis=-1)
+        columns[blocks[..., 1] == 0] = 0
+        sums = self._sums[: len(planes)]
+        if (patches := field.patches(self._n, 0.0, threads)) is None:
+            self._add_kernels(field, planes, columns, sums, threads)
+        else:
+            from sppm_pipeline.method.assembly.overlap_add import assemble
 
-    def _columns(self, wanted: I32) -> set[tuple[int, int]]:
-        """Numbers of the spans along x and y whose samples the wanted ones depend on."""
-        first_x, first_y = (taps.first - taps.first[0] for taps in self._taps[:2])
-        start, stop = spans_in_any(wanted).T
-        found = set()
-        for j, span_y in enumerate(self._spans[1]):
-            rows = np.zeros(len(start), bool)
-            for _, place in span_y.own:
-                rows |= (first_y + TAPS > place.start) & (first_y < place.stop)
-            rows &= start < stop
-            if rows.any():
-                low, high = first_x[start[rows].min()], first_x[stop[rows].max() - 1] + TAPS
-                for i, span_x in enumerate(self._spans[0]):
-                    if any(low < place.stop and high > place.start for _, place in span_x.own):
-                        found.add((i, j))
-        return found
+            box = planes.start, planes.stop, x.start, x.stop, y.start, y.stop
+            assemble(*patches, *box, sums, threads, spans_in_any(columns))
+        least = np.float32(LEAST * field.solid_below)
 
+        def finish(k: int) -> None:
+            at = (planes.start + k) % self._height
+            logarithms(sums[k], columns[k], least)
+            stretch(sums[k], self._band, blocks[k], self._stretched[at])
 
-def _widened(low: I32, high: I32, blocks: int) -> tuple[I32, I32]:
-    """Ranges of blocks, one more on either side, joined with those of `NEARBY` rows."""
-    low, high = np.where(low < high, low, blocks), np.where(low < high, high, 0)
-    wide_low, wide_high = low.copy(), high.copy()
-    for by in range(1, NEARBY + 1):
-        wide_low[by:], wide_low[:-by] = np.minimum(wide_low[by:], low[:-by]), np.minimum(wide_low[:-by], low[by:])
-        wide_high[by:], wide_high[:-by] = np.maximum(wide_high[by:], high[:-by]), np.maximum(wide_high[:-by], high[by:])
-    there = wide_low < wide_high
-    return np.where(there, np.maximum(wide_low - 1, 0), 0), np.where(there, np.minimum(wide_high + 1, blocks), 0)
+        share_out(finish, range(len(planes)), threads)
 
+    def _add_kernels(self, field: KernelSum, planes: range, columns: I32, sums: F32, threads: int) -> None:
+        """Sum the kernels of coarse planes, in the `columns` (planes, cy, 2) of their rows, block of cells by block."""
+        n = self._n
+        # counted from a whole cell below the lattice, so that a plane has the same place in every call
+        base = min(-1, planes.start // n)
+        low, high = (k - base * n for k in (planes.start, planes.stop))
 
-class _Chunk:
-    """Consecutive coarse planes, stretched along x; the kernels are summed where they are needed."""
-
-    def __init__(self, planes: range, x: range, y: range, band: Band, room: F32) -> None:
-        self.planes, self.x, self.y, self.band, self.room = planes, x, y, band, room
-        self.stretched = room[: len(planes)]
-        self.done: set[tuple[int, int]] = set()
-        self._blocks = np.zeros((len(y), 2), np.int32)
-        self._sums = np.zeros((0, 0, 0), np.float32)
-
-    def add_patches(self, patches: Patches, needed: I32, scratch: Callable[[], F32], threads: int) -> None:
-        """Add up patches for the needed parts of rows, (cy, 2) fine samples, unless that is done."""
-        from sppm_pipeline.method.assembly.overlap_add import assemble
-
-        low, high, done = needed[:, 0] // BLOCK, -(-needed[:, 1] // BLOCK), self._blocks
-        if not ((low < high) & ((low < done[:, 0]) | (high > done[:, 1]))).any():
-            return
-        # the next layers want about the same; what they want beyond that is summed then, with the rows it belongs to
-        low, high = _widened(low, high, len(self.band.first))
-        x, y, z = self.x, self.y, self.planes
-        first = self.band.first.astype(np.int32)
-        there, empty = low < high, done[:, 0] >= done[:, 1]
-        left = np.stack([low, np.where(there & ~empty, done[:, 0], high)], axis=1)
-        right = np.stack([np.where(empty, high, done[:, 1]), high], axis=1)
-        for blocks in (left, right):
-            blocks[blocks[:, 0] >= blocks[:, 1]] = 0
-            if not blocks.any():
-                continue
-            columns = np.stack([first[blocks[:, 0], 0], first[blocks[:, 1] - 1, -1] + TAPS], axis=1)
-            columns[blocks[:, 1] == 0] = 0
-            sums = scratch()[: len(z)]
-            assemble(*patches, z.start, z.stop, x.start, x.stop, y.start, y.stop, sums, threads, columns)
-            self._stretch(sums, range(len(y)), threads, blocks)
-        done[:, 0] = np.where(there & (empty | (low < done[:, 0])), low, done[:, 0])
-        done[:, 1] = np.where(there, np.maximum(high, done[:, 1]), done[:, 1])
-
-    def sum_columns(
-        self, field: KernelSum, n: int, columns: set[tuple[int, int]], spans: list[list[Span]], threads: int
-    ) -> None:
-        """Sum the kernels in columns of cells, which are numbers of spans along x and y."""
-        if not columns:
-            return
-        if not self._sums.size:
-            self.stretched[:] = 0  # samples of other columns enter nothing that is wanted, but are read
-            self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
-
-        def add(column: tuple[int, int]) -> None:
-            x, y = (spans[axis][number] for axis, number in enumerate(column))
-            # counted from a whole cell below the lattice, so that a plane has the same place in every chunk
-            base = min(-1, self.planes.start // n)
-            low, high = (k - base * n for k in (self.planes.start, self.planes.stop))
+        def add(block: tuple[Span, ...]) -> None:
+            x, y = block
+            wanted, places = np.zeros((len(planes), y.samples, 2), np.int32), list(product(y.own, x.own))
+            for (of_y, to_y), (of_x, to_x) in places:
+                found = np.clip(columns[:, to_y] - to_x.start, 0, to_x.stop - to_x.start) + of_x.start
+                wanted[:, of_y] = _hulls(wanted[:, of_y], found)
+            if not wanted.any():
+                return
             grid = Grid((x.first / n, y.first / n, float(base)), (1.0 / n,) * 3, (x.samples, y.samples, high))
-            sums = field.kernel_sums(grid, low, high)
-            for (from_y, to_y), (from_x, to_x) in product(y.own, x.own):
-                self._sums[:, to_y, to_x] = sums[:, from_y, from_x]
+            made = field.kernel_sums(grid, low, high, wanted=wanted)
+            for (of_y, to_y), (of_x, to_x) in places:
+                sums[:, to_y, to_x] = made[:, of_y, of_x]
 
-        share_out(add, sorted(columns), threads)
-        for j in {j for _, j in columns}:
-            for _, rows in spans[1][j].own:
-                self._stretch(self._sums, range(rows.start, rows.stop), threads)
-        self.done |= columns  # not before: an interrupt may come, and the field be asked again
-
-    def _stretch(self, sums: F32, rows: range, threads: int, blocks: I32 | None = None) -> None:
-        def work(some: slice) -> None:
-            stretch(sums[some], self.band, rows, self.stretched[some], blocks)
-
-        cuts = [len(self.planes) * part // threads for part in range(threads + 1)]
-        share_out(work, [slice(*ends) for ends in pairwise(cuts)], threads)
+        share_out(add, list(product(*self._spans)), threads)
 
 
-def _spans(window: range, n: int, cells: int, periodic: bool) -> list[Span]:
-    """The samples of a window cell by cell; of a periodic lattice each cell once, whatever the number of its images."""
+def _hulls(some: I32, others: I32) -> I32:
+    """Ranges that hold those of two arrays (..., 2)."""
+    low, high = np.minimum(some[..., 0], others[..., 0]), np.maximum(some[..., 1], others[..., 1])
+    one, other = some[..., :1] < some[..., 1:], others[..., :1] < others[..., 1:]
+    return np.where(one & other, np.stack([low, high], axis=-1), np.where(one, some, np.where(other, others, 0)))
+
+
+def _spans(window: range, n: int, cells: int, periodic: bool, along: int) -> list[Span]:
+    """The samples of a window by blocks of cells; of a periodic lattice each once, however many its images are."""
+    whole, step = n * cells, n * along
+    if periodic:
+        edges, shifts = [*range(0, whole, step), whole], range(window.start // whole * whole, window.stop, whole)
+    else:
+        edges, shifts = [-MARGIN, *range(step, whole, step), whole + MARGIN], range(1)
+        edges = [*range(edges[0], window.start - step, -step)][:0:-1] + edges
+        edges += range(edges[-1] + step, window.stop + step, step)
     found: dict[int, Span] = {}
-    for cell in range(window.start // n, (window.stop - 1) // n + 1):
-        low, high = cell * n, (cell + 1) * n
-        number = cell % cells if periodic else cell
-        if not periodic:
-            low += -MARGIN if cell == 0 else MARGIN if cell == cells else 0
-            high += MARGIN if cell == cells - 1 else -MARGIN if cell == -1 else 0
-        a, b = max(low, window.start), min(high, window.stop)
+    for shift, (low, high) in product(shifts, pairwise(edges)):
+        a, b = max(low + shift, window.start), min(high + shift, window.stop)
         if a < b:
-            shift = (number - cell) * n
-            span = found.setdefault(number, Span(low + shift, high - low, []))
-            span.own.append((slice(a - low, b - low), slice(a - window.start, b - window.start)))
+            own = slice(a - low - shift, b - low - shift), slice(a - window.start, b - window.start)
+            found.setdefault(low, Span(low, high - low, [])).own.append(own)
     return list(found.values())

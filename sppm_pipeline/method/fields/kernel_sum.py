@@ -21,10 +21,7 @@ from sppm_pipeline.services.grid import Grid, sample_one_period
 if TYPE_CHECKING:
     from sppm_pipeline.method.assembly.contents import TilingArrays
     from sppm_pipeline.method.assembly.patches import PatchBank
-    from sppm_pipeline.method.assembly.signs import SignSampler
     from sppm_pipeline.method.fields.fine_sampler import FineSampler
-    from sppm_pipeline.method.kernels.level_spline import LayerSpline
-    from sppm_pipeline.method.kernels.signs import Levels
 
 
 class Patches(NamedTuple):
@@ -166,8 +163,6 @@ class KernelSum(ScalarField):
                 return out
             if (placed := self._placed(grid, threads, solid=True)) is not None:
                 return unpack(placed.bits(self.solid_below, start, stop, threads, rows), grid.shape[0])
-            if (signs := self._signs(grid)) is not None:
-                return signs.sample(start, stop, threads, rows)
             return (self._summed(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
 
         return self._each_once(grid, start, stop, solid).T
@@ -178,11 +173,6 @@ class KernelSum(ScalarField):
         if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
             return placed.bits(self.solid_below, start, stop, threads, wanted)
         return super().solid_bits(grid, start, stop, threads, wanted)
-
-    def slabs_in_threads(self, grid: Grid) -> bool:
-        if self.periodic or not self.additive or self._fine(grid, 1) is not None:
-            return False
-        return not self.has_patches_on(grid) and self._signs(grid) is not None
 
     def _each_once(
         self, grid: Grid, start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]
@@ -216,22 +206,6 @@ class KernelSum(ScalarField):
             sampler = _SAMPLERS[self] = FineSampler(self, grid, n)
         return sampler
 
-    def sign_sampler(
-        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
-    ) -> SignSampler | None:
-        """Search for the samples below the level that does without their values, if that pays on a grid.
-
-        The level is the field's own, or that of a spline of ln C.
-        """
-        return None
-
-    def _signs(self, grid: Grid) -> SignSampler | None:
-        """`sign_sampler`; the last one is kept for the next layers."""
-        kept = _SIGNS.get(self)
-        if kept is None or kept[0] != grid:
-            kept = _SIGNS[self] = grid, self.sign_sampler(grid)
-        return kept[1]
-
     def _placed(self, grid: Grid, threads: int, solid: bool = False) -> _Placed | None:
         """The patches and those of their samples that a grid stands for; None if there are none."""
         lattice = _lattice_of(grid)
@@ -258,5 +232,4 @@ def _lattice_of(grid: Grid) -> tuple[int, float, list[tuple[int, int]]] | None:
     return (*found.pop(), ranges) if len(found) == 1 else None
 
 
-_SIGNS: WeakKeyDictionary[KernelSum, tuple[Grid, SignSampler | None]] = WeakKeyDictionary()
 _SAMPLERS: WeakKeyDictionary[KernelSum, FineSampler] = WeakKeyDictionary()

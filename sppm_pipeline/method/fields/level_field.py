@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,6 @@ from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.services.arrays import F32, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import in_bands
-
-if TYPE_CHECKING:
-    from sppm_pipeline.method.assembly.signs import SignSampler
-    from sppm_pipeline.method.kernels.signs import Levels
 
 NARROWED = 0.8
 """Tunnels this much narrower than at the field's own level are still interpolated from the same samples: 2 of 100 000
@@ -94,19 +89,6 @@ class LevelField(WrappedField, KernelSum):
         # by patches of the field that repeats, where it has such
         assert isinstance(self.base, KernelSum)
         return self._over_level(self.base._summed(grid, start, stop, threads, wanted), grid, start, threads, wanted)
-
-    def sign_sampler(
-        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
-    ) -> SignSampler | None:
-        from sppm_pipeline.method.kernels.signs import Levels
-
-        base = self.base
-        if not isinstance(base, KernelSum) or base.periodic or base.has_patches_on(grid):
-            return None
-        least, mean, most = (math.exp(float(c)) for c in (self.control.min(), self.control.mean(), self.control.max()))
-        # inside a cell the slope is a mean of those from one control point to the next
-        steps = [np.abs(np.diff(self.control, axis=axis)).max(initial=0) for axis in range(3)]
-        return base.sign_sampler(grid, Levels(mean, least, most, self.per_cell * float(max(steps))), self._spline)
 
     def _over_level(self, sums: F32, grid: Grid, start: int, threads: int, wanted: I32 | None) -> F32:
         """G in some layers becomes G / C times the mean level, where it is wanted."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
@@ -25,15 +24,12 @@ from sppm_pipeline.services.metric import check_metric
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.assembly.gather import Catalog
-    from sppm_pipeline.method.assembly.signs import SignSampler
-    from sppm_pipeline.method.kernels.level_spline import LayerSpline
-    from sppm_pipeline.method.kernels.signs import Levels
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
 
 
-COARSE_PITCH = 0.45
+COARSE_PITCH = 0.52
 """Samples this many radii of the thinnest tunnel apart are fine enough for finer ones to be interpolated from them:
 on each of 20 cells less than 5 in 100 000 change sides."""
 
@@ -184,25 +180,6 @@ class Microstructure(KernelSum):
             self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=self._catalog()
         ).T
 
-    def laid_signs(
-        self,
-        arrays: TilingArrays,
-        grid: Grid,
-        levels: Levels | None = None,
-        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
-    ) -> SignSampler | None:
-        """Search for the solid samples of a layout that does without the values of G, if that pays.
-
-        At the level of the microstructure, or at those of a spline of ln C.
-        """
-        from sppm_pipeline.method.assembly.signs import SignSampler
-        from sppm_pipeline.method.kernels.signs import find_bounds, one_level
-
-        kernels = self.pieces.kernels
-        levels = one_level(self.level) if levels is None else levels
-        bounds = find_bounds(*steepest(kernels), kernels.profile, levels, grid.spacing, CUTOFF)
-        return None if bounds is None else SignSampler(self._catalog(), arrays, grid, levels, bounds.steps, spline)
-
     def _catalog(self) -> Catalog:
         from sppm_pipeline.method.assembly.gather import make_catalog
 
@@ -236,13 +213,6 @@ class Microstructure(KernelSum):
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
         return self.alone(0, (0, 0, 0)).kernel_sums(grid, start, stop, threads, wanted)
-
-    def sign_sampler(
-        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
-    ) -> SignSampler | None:
-        if self.interiors > 1 or max(self.colors) > 1:
-            return None
-        return self.alone(0, (0, 0, 0)).sign_sampler(grid, levels, spline)
 
     def laid_values(self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         """Samples of a layout whose field is not `additive`: a continuous field with the sign of G - C."""
@@ -284,11 +254,6 @@ class PeriodicTile(WrappedField, KernelSum):
 
     def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
-
-    def sign_sampler(
-        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
-    ) -> SignSampler | None:
-        return self.base.laid_signs(self.arrays(), grid, levels, spline)
 
     @property
     def additive(self) -> bool:

@@ -205,13 +205,6 @@ class ScalarField(Artifact, ABC):
         """`sample_zyx` where only some samples of each row matter, `wanted` as for `solid_layers`."""
         return self.sample_zyx(grid, start, stop, threads)
 
-    def slabs_in_threads(self, grid: Grid) -> bool:
-        """True if threads may ask `solid_layers` for different layers of this grid at once, and gain by it.
-
-        What they share is prepared by this call.
-        """
-        return False
-
     def solid_zyx(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +13,6 @@ from sppm_pipeline.method.fields.microstructure import CUTOFF, sampling_tables
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.services.arrays import F32, I32, distinct
 from sppm_pipeline.services.grid import Grid
-
-if TYPE_CHECKING:
-    from sppm_pipeline.method.assembly.signs import SignSampler
-    from sppm_pipeline.method.kernels.level_spline import LayerSpline
-    from sppm_pipeline.method.kernels.signs import Levels
 
 USES_OF_A_PATCH = 4
 """Number of cells that a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
@@ -124,11 +118,6 @@ class Tiling(KernelSum):
 
     def kernel_sums(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> F32:
         return self.tileset.micro.laid_sums(self.arrays, grid, start, stop, threads, wanted)
-
-    def sign_sampler(
-        self, grid: Grid, levels: Levels | None = None, spline: Callable[[Grid, int, int], LayerSpline] | None = None
-    ) -> SignSampler | None:
-        return self.tileset.micro.laid_signs(self.arrays, grid, levels, spline)
 
     @property
     def additive(self) -> bool:

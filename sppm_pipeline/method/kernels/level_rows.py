@@ -90,27 +90,3 @@ def void_at_level(
                 narrow += int(counted * min(max(more + quarter, np.int32(0)), half))
                 beside += int(counted * np.int32(more >= -half and more < half))
     return inside, wide, narrow, beside
-
-
-@jit
-def level_at(
-    rows: NDArray[np.float32],
-    cell: NDArray[np.int64],
-    weights: NDArray[np.float32],
-    row: int,
-    row_from: NDArray[np.int64],
-    columns: NDArray[np.int32],
-    out: NDArray[np.float32],
-) -> None:
-    """The spline at some samples of some rows of a layer from `row` on; see `less_level`.
-
-    `row_from` (h + 1,) is where the samples of each row begin in `columns` and `out`, and where they end.
-    """
-    for j in range(len(row_from) - 1):
-        for s in range(row_from[j], row_from[j + 1]):
-            i = columns[s]
-            c = cell[i]
-            value = rows[row + j, c] * weights[0, i]
-            value += rows[row + j, c + 1] * weights[1, i]
-            value += rows[row + j, c + 2] * weights[2, i]
-            out[s] = value

@@ -67,14 +67,6 @@ class LayerSpline:
         less_level(self._rows[layer], self._cell, self._weights, np.float32(begin), rows.start, columns.start, out)
         return out
 
-    def at(
-        self, layer: int, rows: range, row_from: NDArray[np.int64], columns: NDArray[np.int32], out: NDArray[np.float32]
-    ) -> None:
-        """Write the spline at some samples of some rows of a layer; row r begins at ``row_from[r]`` in `columns`."""
-        from sppm_pipeline.method.kernels.level_rows import level_at
-
-        level_at(self._rows[layer], self._cell, self._weights, rows.start, row_from, columns, out)
-
 
 def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
     """The control points whose spline has the given means over the cells, (nx, ny, nz): a banded solve for each axis.

@@ -24,13 +24,14 @@ LANES = 16
 _LANES = np.uint64(LANES)
 _SHIFT = np.uint64(4)
 
-# Rows of the table: first sample, number of blocks, then three numbers of the kernel.
-FIRST, _BLOCKS, ACROSS, ALONG, REST = (np.uint64(LANES * row) for row in range(5))
+# Rows of the table: first sample, the first block that is wanted and the one after the last, then three numbers of the
+# kernel.
+FIRST, _BEGIN, _END, ACROSS, ALONG, REST = (np.uint64(LANES * row) for row in range(6))
 _FACTOR = ACROSS
 # Then the first and the last sample of the row that is wanted.
-_WANTED_FROM, _WANTED_TO = np.uint64(5 * LANES), np.uint64(6 * LANES)
+_WANTED_FROM, _WANTED_TO = np.uint64(6 * LANES), np.uint64(7 * LANES)
 #: Length of the table of a group of rows.
-TABLE = 7 * LANES
+TABLE = 8 * LANES
 
 # 2^-f = sum of _Pi f^i on 0 <= f <= 1: least relative error at Chebyshev points, 8e-8 before rounding.
 _P0 = np.float32(0.99999992321)
@@ -75,23 +76,30 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
 
 @inline_jit
 def clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
-    """Write first sample and number of blocks of row i; the row covers at least low <= x <= high where it is wanted."""
-    first = max(np.float32(np.ceil(low)), table[_WANTED_FROM + i])
+    """Write first sample and blocks of row i; they cover at least low <= x <= high where it is wanted.
+
+    Where a block begins depends on `low`, `high` and `nx` alone, so that a sample is the same whatever is wanted.
+    """
+    lanes, inverse = np.float32(LANES), np.float32(1.0 / LANES)
+    first = max(np.float32(np.ceil(low)), _ZERO)
     # an empty chord has high < low, and so no blocks
-    last = min(np.float32(np.floor(high)), table[_WANTED_TO + i])
-    blocks = np.float32(np.floor((last - first) * np.float32(1.0 / LANES))) + _ONE
+    last = min(np.float32(np.floor(high)), nx - _ONE)
+    blocks = np.float32(np.floor((last - first) * inverse)) + _ONE
     blocks = blocks if last >= first else _ZERO
     # A row that would run over the end starts earlier instead.
-    table[FIRST + i] = max(min(first, nx - blocks * np.float32(LANES)), _ZERO)
-    table[_BLOCKS + i] = blocks
+    first = max(min(first, nx - blocks * lanes), _ZERO)
+    begin = max(np.float32(np.floor((table[_WANTED_FROM + i] - first) * inverse)), _ZERO)
+    end = min(np.float32(np.floor((table[_WANTED_TO + i] - first) * inverse)) + _ONE, blocks)
+    table[FIRST + i], table[_BEGIN + i], table[_END + i] = first, begin, max(begin, end)
 
 
 @inline_jit
-def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int, rows: int, nx: int) -> None:
-    """Write which samples of the sixteen rows are wanted, from the first to the last; all if `wanted` is empty.
+def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int, rows: int, nx: int) -> bool:
+    """Write which samples of the sixteen rows are wanted, from the first to the last; False if there are none.
 
-    ``wanted[r]`` are the first sample of row r and the one after the last.
+    ``wanted[r]`` are the first sample of row r and the one after the last; if it is empty, all are wanted.
     """
+    some = bool(wanted.shape[0] == 0)
     for i in range(_LANES):
         table[_WANTED_FROM + i] = _ZERO
         table[_WANTED_TO + i] = np.float32(nx - 1)
@@ -100,6 +108,8 @@ def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int,
             row = first + int(min(np.int64(i), np.int64(rows - 1)))
             table[_WANTED_FROM + i] = np.float32(wanted[row, 0])
             table[_WANTED_TO + i] = np.float32(wanted[row, 1] - 1)
+            some |= bool(wanted[row, 0] < wanted[row, 1])
+    return some
 
 
 @inline_jit
@@ -147,7 +157,7 @@ def add_gauss_rows(
         first = np.int64(table[FIRST + row])
         target = np.uint64(start + np.int64(row) * stride + first)
         source = np.uint64(first + shift)
-        for i in range(np.uint64(table[_BLOCKS + row]) << _SHIFT):
+        for i in range(np.uint64(table[_BEGIN + row]) << _SHIFT, np.uint64(table[_END + row]) << _SHIFT):
             out[target + i] += factor * values[source + i]
 
 
@@ -234,7 +244,7 @@ def add_tunnel_rows(
         across = table[ACROSS + row]
         along = table[ALONG + row]
         rest = table[REST + row]
-        for i in range(np.uint64(table[_BLOCKS + row]) << _SHIFT):
+        for i in range(np.uint64(table[_BEGIN + row]) << _SHIFT, np.uint64(table[_END + row]) << _SHIFT):
             x = np.float32(np.int32(i))
             v = across + across_step * x
             s = along + along_step * x

@@ -57,9 +57,8 @@ def add_kernels(
     `out` (nz, ny, nx) is C-contiguous; grid and kernels are in one unit, spacings may differ from axis to axis, and
     tunnels of length zero are allowed. A kernel is dropped below the cut-off (some samples up to 15 spacings further
     out along x still receive it). `wanted` (nz, ny, 2) holds the first sample of each row that matters and the one
-    after the last: samples beyond them hold parts of the sum or nothing; those between differ from the full sum by less
-    than the cut-off for each kernel that ends nearby, and by float32 rounding. A layer's values depend neither on the
-    threads nor on `first_layer`.
+    after the last: samples beyond them hold parts of the sum or nothing. A layer's values depend neither on the threads
+    nor on `first_layer`, nor on what else is wanted.
 
     Raises ValueError if `out` does not fit the grid, the cut-off lies outside [1e-12, 0.5], or a kernel is not finite
     or has a parameter that is not positive.
@@ -228,7 +227,8 @@ def _add_points(
         for z in range(z0, z1 + 1):
             dz = np.float32(scale * (origin[2] + z * spacing[2] - points[p, 2]))
             for y in range(y0, y1 + 1, LANES):
-                want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx)
+                if not want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx):
+                    continue
                 point_rows(
                     table, np.float32(reach), np.float32(dy + (y - y0) * step_y), np.float32(step_y), dz, center,
                     np.float32(1.0 / step_x), np.float32(nx),
@@ -292,7 +292,8 @@ def _add_tunnels(
         for z in range(z0, z1 + 1):
             dz = np.float32(scale * (origin[2] + z * spacing[2] - tunnels[p, 2]))
             for y in range(y0, y1 + 1, LANES):
-                want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx)
+                if not want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx):
+                    continue
                 tunnel_rows(
                     table, np.float32(reach), np.float32(dy + (y - y0) * step_y), np.float32(step_y), dz, axis,
                     np.float32(start), first, np.float32(step_x), np.float32(1.0 / step_x), np.float32(nx),

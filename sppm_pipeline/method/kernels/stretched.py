@@ -164,7 +164,8 @@ def _add_stretched(
             dz = origin[2] + z * spacing[2] - c[2]
             for y in range(y0, y1 + 1, LANES):
                 rows = min(LANES, y1 + 1 - y)
-                want_rows(table, wanted, (z - first_layer) * ny + y, rows, nx)
+                if not want_rows(table, wanted, (z - first_layer) * ny + y, rows, nx):
+                    continue
                 for i in range(rows):
                     dy = origin[1] + (y + i) * spacing[1] - c[1]
                     _capsule_row(

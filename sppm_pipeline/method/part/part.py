@@ -267,12 +267,6 @@ class Part(WrappedField):
         bits &= held
         return bits, {"domain": count(held), "skin": 0}
 
-    def slabs_in_threads(self, grid: Grid) -> bool:
-        if self.border or self.method != "scanline" or not self.base.slabs_in_threads(grid):
-            return False
-        self._in_domain(grid).inside(0, 0)
-        return True
-
     def _filled_and_drained(self, solid: U8, inside: U8, grid: Grid, start: int, stop: int) -> U8:
         """The layers with what fills add in the domain, and without what drains take away."""
         layers = self.in_mm(grid).layers(start, stop)

@@ -17,7 +17,7 @@ from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing.slice_stack import Slab, Slabs, SliceStack
 from sppm_pipeline.method.slicing.spool import Spool
 from sppm_pipeline.services.grid import Grid
-from sppm_pipeline.services.threads import computed_ahead, ordered_map
+from sppm_pipeline.services.threads import computed_ahead
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.connectivity.verdicts import IslandStatistics
@@ -276,21 +276,15 @@ class FieldSlices(SampledSlices):
     def decided(
         self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None
     ) -> Iterator[BitSlab]:
-        # slabs side by side where a sampler allows for it, else threads within a slab
-        apart = threads > 1 and self.source.slabs_in_threads(self.samples)
-
         def slab(span: tuple[int, int]) -> tuple[BitSlab, dict[str, int]]:
-            asked = self.samples, *span, 1 if apart else threads
+            asked = self.samples, *span, threads
             if isinstance(self.source, Part):
                 solid, counted = self.source.counted_bits(*asked)
                 return (span[0], solid), counted
             return (span[0], self.source.solid_bits(*asked)), {}
 
-        spans = self.spans(start, stop)
-        if apart:
-            slabs = ordered_map(slab, spans, threads, ahead=threads - 1)
-        else:  # the reader of a slab looks for islands in it, by one thread
-            slabs = computed_ahead(map(slab, spans), threads)
+        # the reader of a slab looks for islands in it, by one thread
+        slabs = computed_ahead(map(slab, self.spans(start, stop)), threads)
         for made, counted in slabs:
             add_counts(counts, counted)
             yield made

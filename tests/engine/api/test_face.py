@@ -46,12 +46,7 @@ def test_the_face_is_small_and_says_where_other_names_are():
 PUBLIC = (*map(vars, FACES.values()), vars(errors))
 OWN = {
     "Part.cut_zyx",  # what ends so is for the kernels of the program
-    "Microstructure.laid_signs",
-    *(
-        f"{field}.{way}"
-        for field in ("Microstructure", "PeriodicTile", "Tiling")
-        for way in ("patches", "sign_sampler")
-    ),
+    *(f"{field}.patches" for field in ("Microstructure", "PeriodicTile", "Tiling")),
     "EncodedLayers.__init__",  # stores and notebooks are given these, and make none
     "Run.__init__",
     "SurfaceMesh.outer_surface",  # where shells overlap; plugins are given the mesh
