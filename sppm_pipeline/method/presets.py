@@ -10,9 +10,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.fields.scalar_field import ScalarField
 
 _PORES = {"total": 95, "share": 0.5}
-_THROWN = [
-    {"stage": "sample.mirrored_faces", "edge": "${edge}", "total": "${total}", "share": "${share}"},
-]
+_THROWN = [{"stage": "sample.mirrored_faces", "edge": "${edge}", "total": "${total}", "share": "${share}"}]
 _JOINED = {"stage": "connect.mbdst", "degree": "${degree}", "mode": "greedy"}
 
 PRESETS = {
@@ -41,12 +39,7 @@ PRESETS = {
 
 
 def cell(
-    preset: str = "paper",
-    *,
-    seed: int,
-    porosity: float | None = None,
-    threads: int | None = None,
-    **more: Any,
+    preset: str = "paper", *, seed: int, porosity: float | None = None, threads: int | None = None, **more: Any
 ) -> ScalarField:
     """A cell of a preset in one line, of a given porosity if one is given.
 

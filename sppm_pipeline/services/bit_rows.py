@@ -7,8 +7,8 @@ encoding. Bits beyond the end of a row are 0.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import U8, U64
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
 _ONE = np.uint64(1)
@@ -30,12 +30,12 @@ def words_of(samples: int) -> int:
     return -(-samples // 64)
 
 
-def empty_bits(layers: int, ny: int, nx: int) -> NDArray[np.uint64]:
+def empty_bits(layers: int, ny: int, nx: int) -> U64:
     """Room for layers, (layers, ny, words) uint64, not initialized."""
     return np.empty((layers, ny, words_of(nx)), np.uint64)
 
 
-def pack(mask: NDArray[np.uint8]) -> NDArray[np.uint64]:
+def pack(mask: U8) -> U64:
     """The bits of layers, (nz, ny, nx) uint8; anything but 0 is set."""
     nz, ny, nx = mask.shape
     # of any order in memory, which `packbits` would keep
@@ -47,19 +47,19 @@ def pack(mask: NDArray[np.uint8]) -> NDArray[np.uint64]:
     return packed.view(np.uint64)
 
 
-def unpack(bits: NDArray[np.uint64], nx: int, value: int = 1) -> NDArray[np.uint8]:
+def unpack(bits: U64, nx: int, value: int = 1) -> U8:
     """Layers as bytes, (nz, ny, nx) uint8, of `value` where a bit is set and 0 elsewhere."""
     layers = np.unpackbits(np.ascontiguousarray(bits).view(np.uint8), axis=2, count=nx, bitorder="little")
     return layers if value == 1 else np.multiply(layers, np.uint8(value), out=layers)
 
 
-def count(bits: NDArray[np.uint64]) -> int:
+def count(bits: U64) -> int:
     """Number of set bits; `bits` is C-contiguous."""
     return int(_count(bits.reshape(-1)))
 
 
 @inline_jit
-def gather(flags: NDArray[np.uint64], first: int) -> np.uint64:
+def gather(flags: U64, first: int) -> np.uint64:
     """The word of 64 bytes of 0 or 1, which are flags[first : first + 8]."""
     packed = np.uint64(0)
     for b in range(8):
@@ -68,14 +68,14 @@ def gather(flags: NDArray[np.uint64], first: int) -> np.uint64:
 
 
 @inline_jit
-def clear_span(row: NDArray[np.uint64], first: int, stop: int) -> None:
+def clear_span(row: U64, first: int, stop: int) -> None:
     """Take the samples first <= x < stop out of a row; first < stop."""
     for w in range(first // 64, (stop - 1) // 64 + 1):
         row[w] &= ~_span_of_word(w, first, stop)
 
 
 @inline_jit
-def fill_span(row: NDArray[np.uint64], first: int, stop: int) -> None:
+def fill_span(row: U64, first: int, stop: int) -> None:
     """Set the samples first <= x < stop of a row; first < stop."""
     for w in range(first // 64, (stop - 1) // 64 + 1):
         row[w] |= _span_of_word(w, first, stop)
@@ -104,7 +104,7 @@ def set_bits(word: np.uint64) -> np.uint64:
 
 
 @jit
-def _count(words: NDArray[np.uint64]) -> int:
+def _count(words: U64) -> int:
     total = np.uint64(0)
     for word in words:
         total += set_bits(word)

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.services.arrays import F64
+
 VOXEL_FACES = (
     ((-1, 0, 0), (0, 4, 6, 2)),
     ((1, 0, 0), (1, 3, 7, 5)),
@@ -36,7 +38,7 @@ class Grid(NamedTuple):
     spacing: tuple[float, float, float]
     shape: tuple[int, int, int]
 
-    def axis(self, axis: int) -> NDArray[np.float64]:
+    def axis(self, axis: int) -> F64:
         """Coordinates of the samples along one axis, (shape[axis],)."""
         return self.origin[axis] + self.spacing[axis] * np.arange(self.shape[axis], dtype=np.float64)
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8, U64
 from sppm_pipeline.services.jit.compiled import fused_jit, jit
@@ -36,8 +35,8 @@ _BLOCK = np.uint64(BLOCK)
 class Taps(NamedTuple):
     """Coarse samples and weights from which those along one axis are interpolated."""
 
-    first: NDArray[np.int64]  # (m,), the first of six consecutive coarse samples
-    weights: NDArray[np.float32]  # (m, 6); they add up to one
+    first: I64  # (m,), the first of six consecutive coarse samples
+    weights: F32  # (m, 6); they add up to one
 
 
 def taps_at(positions: F64) -> Taps:
@@ -58,8 +57,8 @@ class Band(NamedTuple):
     """Weights for `stretch`: each block of fine samples from the coarse ones that any of them is interpolated from."""
 
     # (blocks, parts), the first of six consecutive coarse samples, counted from the first of all
-    first: NDArray[np.uint64]
-    weights: NDArray[np.float32]  # (blocks, parts, 6, BLOCK), zero for those that are no taps of a sample
+    first: U64
+    weights: F32  # (blocks, parts, 6, BLOCK), zero for those that are no taps of a sample
 
 
 def band_of(taps: Taps) -> Band:
@@ -178,14 +177,7 @@ def _negative_between_rows(
 
 
 @fused_jit
-def _stretch(
-    coarse: F32,
-    first: U64,
-    parts: np.uint64,
-    weights: F32,
-    wanted: I32,
-    out: F32,
-) -> None:
+def _stretch(coarse: F32, first: U64, parts: np.uint64, weights: F32, wanted: I32, out: F32) -> None:
     """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
     step = np.uint64(TAPS * BLOCK)
     one, two, three, four, five = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, I32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
 
 UNREACHED = np.int32(2**30)
 """Stands for no voxel of the other phase at all."""
 
 
-def squared_distance(
-    phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
-) -> NDArray[np.int32]:
+def squared_distance(phase: U8, periodic: tuple[bool, bool, bool] = (True, True, True)) -> I32:
     """Squared distance of each voxel of a phase (nz, ny, nx) to the nearest voxel outside, in voxels, center to center.
 
     `periodic` says along x, y, z whether opposite sides are neighbors; otherwise nothing is known to lie beyond a side.
@@ -31,7 +29,7 @@ def squared_distance(
 
 
 @jit
-def _along_rows(lines: NDArray[np.int32], wraps: bool) -> None:
+def _along_rows(lines: I32, wraps: bool) -> None:
     """One pass of Saito and Toriwaki (1994): each sample searches outward until nothing nearer can come."""
     nz, ny, n = lines.shape
     best = np.empty(n, np.int32)
@@ -78,7 +76,7 @@ class LimitSizes(NamedTuple):
     thinnest: float
 
 
-def limit_sizes(fine: NDArray[np.float32], coarse: NDArray[np.float32], spacings: tuple[float, float]) -> LimitSizes:
+def limit_sizes(fine: F32, coarse: F32, spacings: tuple[float, float]) -> LimitSizes:
     """Sizes in the limit of fine grids, from the local thickness on two grids.
 
     Balls on voxel centers are too small by 0.4 (walls) to 1.1 (struts, pores) voxels on average, a multiple of the
@@ -111,9 +109,7 @@ class SizeDistribution(NamedTuple):
     quantiles: tuple[float, float, float]  # at 10, 50 and 90 % of the volume
 
 
-def local_thickness(
-    phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
-) -> NDArray[np.float32]:
+def local_thickness(phase: U8, periodic: tuple[bool, bool, bool] = (True, True, True)) -> F32:
     """Diameter of the largest ball inside the phase (nz, ny, nx) that covers each voxel, in voxels; 0 outside of it.
 
     Balls have their centers at voxel centers and reach to half way between the last voxel of the phase and the first
@@ -137,7 +133,7 @@ def painted_balls(squared: NDArray[np.int32], periodic: tuple[bool, bool, bool])
     return painted
 
 
-def size_distribution(thickness: NDArray[np.float32], spacing: float) -> SizeDistribution | None:
+def size_distribution(thickness: F32, spacing: float) -> SizeDistribution | None:
     """Moments and quantiles of a local thickness in voxels, times the spacing; None if the phase (above 0) is empty."""
     sizes = np.sort(thickness[thickness > 0].astype(np.float64)) * spacing
     if not len(sizes):
@@ -149,7 +145,7 @@ def size_distribution(thickness: NDArray[np.float32], spacing: float) -> SizeDis
 
 
 @jit
-def _ridge(squared: NDArray[np.int32], wraps: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _ridge(squared: I32, wraps: U8) -> U8:
     """1 at voxels whose ball is not inside that of a neighbor: only those can be the largest somewhere."""
     nz, ny, nx = squared.shape
     ridge = np.zeros((nz, ny, nx), np.uint8)
@@ -190,9 +186,7 @@ def _ridge(squared: NDArray[np.int32], wraps: NDArray[np.uint8]) -> NDArray[np.u
 
 
 @jit
-def _paint(
-    squared: NDArray[np.int32], centers: NDArray[np.int64], wraps: NDArray[np.uint8], painted: NDArray[np.float32]
-) -> None:
+def _paint(squared: I32, centers: I64, wraps: U8, painted: F32) -> None:
     """Give each voxel the diameter of the first ball that covers it."""
     nz, ny, nx = squared.shape
     for center in centers:

@@ -5,46 +5,47 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F64, I64
 
 
 class MonotoneCubic(NamedTuple):
     """A piecewise cubic through points that rises and falls only where they do (Fritsch and Carlson 1980)."""
 
-    places: NDArray[np.float64]  # (m,), ascending; two or more
-    values: NDArray[np.float64]
-    slopes: NDArray[np.float64]
+    places: F64  # (m,), ascending; two or more
+    values: F64
+    slopes: F64
 
-    def at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, x: F64) -> F64:
         """Values at x; beyond the ends the outermost cubics go on."""
         k, t, h = self._pieces(x)
         s = 1 - t
-        found: NDArray[np.float64] = (
+        found: F64 = (
             (1 + 2 * t) * s**2 * self.values[k]
             + t**2 * (3 - 2 * t) * self.values[k + 1]
             + h * t * s * (s * self.slopes[k] - t * self.slopes[k + 1])
         )
         return found
 
-    def slope_at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def slope_at(self, x: F64) -> F64:
         """The derivative at x."""
         k, t, h = self._pieces(x)
         s = 1 - t
-        found: NDArray[np.float64] = (
+        found: F64 = (
             6 * t * s * (self.values[k + 1] - self.values[k]) / h
             + s * (1 - 3 * t) * self.slopes[k]
             + t * (3 * t - 2) * self.slopes[k + 1]
         )
         return found
 
-    def _pieces(self, x: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    def _pieces(self, x: F64) -> tuple[I64, F64, F64]:
         """For each x the number of its piece, the place in it from 0 to 1, and the length of the piece."""
         k = np.clip(np.searchsorted(self.places, x, side="right") - 1, 0, len(self.places) - 2)
         h = np.diff(self.places)[k]
         return k, (x - self.places[k]) / h, h
 
 
-def monotone_cubic(places: NDArray[np.float64], values: NDArray[np.float64]) -> MonotoneCubic:
+def monotone_cubic(places: F64, values: F64) -> MonotoneCubic:
     """The interpolant; slopes are weighted harmonic means of those beside a point (Fritsch and Butland 1984)."""
     x, y = np.asarray(places, np.float64), np.asarray(values, np.float64)
     h = np.diff(x)

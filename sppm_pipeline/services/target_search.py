@@ -8,7 +8,6 @@ from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64
 
@@ -237,7 +236,7 @@ def _two(
         return np.array(parts)
 
     def scaled(at: Point) -> F64:
-        found: NDArray[np.float64] = (np.array(at, np.float64) - low) / size
+        found: F64 = (np.array(at, np.float64) - low) / size
         return found
 
     def cost(at: Point) -> float:
@@ -245,7 +244,7 @@ def _two(
         return math.inf if numbers is None else float(np.linalg.norm(residual(numbers)))
 
     starts = sorted((at for at in trials if cost(at) < math.inf), key=cost)
-    seen: list[NDArray[np.float64]] = []
+    seen: list[F64] = []
     count = 0
     for start in starts:
         if count == STARTS:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.method.kernels.kernels import Kernels, concatenated
 from sppm_pipeline.method.tiling.lattice import dilated, face_presence
+from sppm_pipeline.services.arrays import I32, I64
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +44,11 @@ class Pieces:
     """
 
     kernels: Kernels
-    first_pore: NDArray[np.int64]
-    first_tunnel: NDArray[np.int64]
+    first_pore: I64
+    first_tunnel: I64
     interiors: int
     colors: int
-    codes: NDArray[np.int64]
+    codes: I64
 
     @classmethod
     def of(
@@ -94,7 +95,7 @@ class Pieces:
         return self.kernels.taken(pores, tunnels)
 
 
-def _ends(counts: Iterable[int]) -> NDArray[np.int64]:
+def _ends(counts: Iterable[int]) -> I64:
     return np.cumsum([0, *counts], dtype=np.int64)
 
 
@@ -105,10 +106,10 @@ def connector_code(
     color: NDArray[np.integer] | int,
     *,
     colors: int,
-) -> NDArray[np.int64]:
+) -> I64:
     """One number for an interior, an axis, a side and a color; the numbers of an interior follow each other."""
     row = (np.asarray(interior, np.int64) * 3 + axis) * 2 + side
-    code: NDArray[np.int64] = row * colors + color
+    code: I64 = row * colors + color
     return code
 
 
@@ -117,18 +118,16 @@ class PieceNumbers(NamedTuple):
 
     interiors: int
     colors: int
-    codes: NDArray[np.int64]
+    codes: I64
 
     def __len__(self) -> int:
         return self.interiors + 3 * self.colors + len(self.codes)
 
-    def face(self, axis: int, color: NDArray[np.int32]) -> NDArray[np.int64]:
+    def face(self, axis: int, color: I32) -> I64:
         """Numbers of faces; color -1 gives -1."""
         return np.where(color >= 0, self.interiors + axis * self.colors + color.astype(np.int64), -1)
 
-    def connector(
-        self, interior: NDArray[np.int32], axis: int, side: int, color: NDArray[np.int32]
-    ) -> NDArray[np.int64]:
+    def connector(self, interior: I32, axis: int, side: int, color: I32) -> I64:
         """Numbers of connectors; -1 where there is none, and where interior or color is -1."""
         if not len(self.codes):
             return np.full(np.shape(interior), -1, np.int64)
@@ -155,8 +154,8 @@ class TilingArrays(NamedTuple):
         (halo, halo, halo) of the arrays.
     """
 
-    interior: NDArray[np.int32]
-    faces: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+    interior: I32
+    faces: tuple[I32, I32, I32]
     periodic: bool
     halo: int = 0
 
@@ -167,7 +166,7 @@ class TilingArrays(NamedTuple):
         return nx - 2 * self.halo, ny - 2 * self.halo, nz - 2 * self.halo
 
     @property
-    def box(self) -> NDArray[np.int32]:
+    def box(self) -> I32:
         """Interiors of the cells of the box, without the halo."""
         inner = slice(self.halo, -self.halo or None)
         return self.interior[inner, inner, inner]
@@ -226,14 +225,14 @@ PIECES_A_SITE = 10
 class Sites(NamedTuple):
     """A box of lattice sites, first <= site < stop, in index order z, y, x."""
 
-    first: NDArray[np.int64]  # (3,) x, y, z
-    stop: NDArray[np.int64]  # (3,)
-    interior: NDArray[np.int32]  # (sz, sy, sx) interior of the cell, -1 = no cell
-    low: NDArray[np.int32]  # (3, sz, sy, sx) colors of the low face of each axis, -1 = none
-    high: NDArray[np.int32]  # those of the high face; -1 where there is no cell
+    first: I64  # (3,) x, y, z
+    stop: I64  # (3,)
+    interior: I32  # (sz, sy, sx) interior of the cell, -1 = no cell
+    low: I32  # (3, sz, sy, sx) colors of the low face of each axis, -1 = none
+    high: I32  # those of the high face; -1 where there is no cell
 
 
-def sites_between(tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[np.int64]) -> Sites:
+def sites_between(tiling: TilingArrays, first: I64, stop: I64) -> Sites:
     """The sites first <= site < stop, clipped to where the tiling has any; only these are looked at."""
     shape, halo = np.array(tiling.interior.shape), tiling.halo
     if not tiling.periodic:
@@ -272,7 +271,7 @@ def _across(index: list[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any], NDAr
     return index[0][:, None, None], index[1][:, None], index[2]
 
 
-def site_pieces(numbers: PieceNumbers, sites: Sites) -> NDArray[np.int32]:
+def site_pieces(numbers: PieceNumbers, sites: Sites) -> I32:
     """Numbers of the pieces at each site, (sz, sy, sx, 10), -1 = none.
 
     Interior, low faces of x, y, z, then the connectors by axis and side.

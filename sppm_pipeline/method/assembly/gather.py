@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import (
     PIECES_A_SITE,
@@ -18,6 +17,7 @@ from sppm_pipeline.method.assembly.contents import (
 from sppm_pipeline.method.kernels.kernels import Kernels, boxes_meet, empty_kernels, half_boxes, kernel_reaches
 from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.method.kernels.splat import add_kernels
+from sppm_pipeline.services.arrays import F32, F64, I32, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -35,13 +35,13 @@ class Catalog(NamedTuple):
 
     numbers: PieceNumbers
     kernels: Kernels
-    first_pore: NDArray[np.int64]
-    first_tunnel: NDArray[np.int64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    first_pore: I64
+    first_tunnel: I64
+    lower: F64
+    upper: F64
     cutoff: float
-    least: NDArray[np.float64] | None
-    most: NDArray[np.float64] | None
+    least: F64 | None
+    most: F64 | None
 
 
 PIECES_AT_A_TIME = 4096
@@ -57,9 +57,9 @@ def sample_exact(
     layer_start: int = 0,
     layer_stop: int | None = None,
     *,
-    wanted: NDArray[np.int32] | None = None,
+    wanted: I32 | None = None,
     catalog: Catalog | None = None,
-) -> NDArray[np.float32]:
+) -> F32:
     """The field of a tiling on any grid, kernel by kernel, indexed x, y, z; x is contiguous in memory.
 
     Kernels are gathered for a few cells at a time, so memory beyond the result does not grow with the grid.
@@ -148,9 +148,7 @@ def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff, least, most)
 
 
-def kernels_in_box(
-    catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]
-) -> Kernels:
+def kernels_in_box(catalog: Catalog, tiling: TilingArrays, lower: F64, upper: F64) -> Kernels:
     """All kernels of a tiling that reach a box, up to the cut-off of the catalog; only cells near the box are visited.
 
     Corners are in cell sizes and may lie outside of the tiling; a periodic one repeats for ever. Kernels have a fixed
@@ -187,7 +185,7 @@ def kernels_in_box(
     return Kernels(centers, every.omega.take(pore), starts, stops, every.mu.take(tunnel), every.profile, *metrics)
 
 
-def _expanded(begin: NDArray[np.int64], number: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _expanded(begin: I64, number: I32) -> tuple[I64, I32]:
     """The kernels of the pieces `number`, one piece after the other, and which of these each belongs to."""
     total = int((begin.take(number + 1) - begin.take(number)).sum())
     index, owner = np.empty(total, np.int64), np.empty(total, np.int32)
@@ -196,15 +194,8 @@ def _expanded(begin: NDArray[np.int64], number: NDArray[np.int32]) -> tuple[NDAr
 
 
 def _moved(
-    index: NDArray[np.int64],
-    owner: NDArray[np.int32],
-    place: NDArray[np.float64],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    half: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    index: I64, owner: I32, place: F64, starts: F64, ends: F64, half: F64, lower: F64, upper: F64
+) -> tuple[F64, F64, I64]:
     """Both ends, moved to the place of their owners, of those kernels that reach a box, and which these are.
 
     `half` (n, 1 or 3) is how far each reaches.
@@ -216,9 +207,7 @@ def _moved(
 
 
 @jit
-def _expand(
-    begin: NDArray[np.int64], number: NDArray[np.int32], index: NDArray[np.int64], owner: NDArray[np.int32]
-) -> None:
+def _expand(begin: I64, number: I32, index: I64, owner: I32) -> None:
     at = 0
     for i in range(len(number)):
         for k in range(begin[number[i]], begin[number[i] + 1]):
@@ -228,17 +217,17 @@ def _expand(
 
 @jit
 def _move(
-    index: NDArray[np.int64],
-    owner: NDArray[np.int32],
-    place: NDArray[np.float64],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    half: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    moved_starts: NDArray[np.float64],
-    moved_ends: NDArray[np.float64],
-    kept: NDArray[np.int64],
+    index: I64,
+    owner: I32,
+    place: F64,
+    starts: F64,
+    ends: F64,
+    half: F64,
+    lower: F64,
+    upper: F64,
+    moved_starts: F64,
+    moved_ends: F64,
+    kept: I64,
 ) -> int:
     """Returns how many meet the box; they are written one after the other."""
     count = 0

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, U8, U64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 
-def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tuple[int, int]) -> NDArray[np.uint8]:
+def gray_by_coverage(samples: U8 | Bools, factor: tuple[int, int]) -> U8:
     """One gray layer (h, w) from a finer occupancy ([s,] h * fy, w * fx), with s sheets if subsampled along z.
 
     Pixels are 255 times the fraction that is inside (not 0), rounded to the nearest integer, halves upwards. Raises
@@ -27,21 +27,21 @@ def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tup
     return gray
 
 
-def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
+def row_spans(mask: U8) -> I32:
     """First sample of each row of a mask (nz, ny, nx) that is set, and the one after the last; (0, 0) for none."""
     spans = np.zeros((*mask.shape[:2], 2), np.int32)
     _spans(mask, spans)
     return spans
 
 
-def row_spans_of_bits(bits: NDArray[np.uint64]) -> NDArray[np.int32]:
+def row_spans_of_bits(bits: U64) -> I32:
     """`row_spans` of a mask of bits, (nz, ny, words), see `services.bit_rows`."""
     spans = np.zeros((*bits.shape[:2], 2), np.int32)
     _bit_spans(bits, spans)
     return spans
 
 
-def spans_in_any(spans: NDArray[np.int32]) -> NDArray[np.int32]:
+def spans_in_any(spans: I32) -> I32:
     """Union over the layers of the occupied span of each row: (nz, ny, 2) int32 to (ny, 2); an empty row ends at 0.
 
     An empty row begins beyond every sample, so that a minimum over rows leaves it out.
@@ -56,7 +56,7 @@ def spans_in_any(spans: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 @jit
-def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8]) -> None:
+def _gray(samples: U8, fx: int, fy: int, gray: U8) -> None:
     sheets = samples.shape[0]
     per_pixel = sheets * fy * fx
     columns = np.empty(samples.shape[2], np.uint16)
@@ -75,7 +75,7 @@ def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8])
 
 
 @jit
-def _spans(mask: NDArray[np.uint8], spans: NDArray[np.int32]) -> None:
+def _spans(mask: U8, spans: I32) -> None:
     nz, ny, nx = mask.shape
     for z in range(nz):
         for y in range(ny):
@@ -91,7 +91,7 @@ def _spans(mask: NDArray[np.uint8], spans: NDArray[np.int32]) -> None:
 
 
 @jit
-def _bit_spans(bits: NDArray[np.uint64], spans: NDArray[np.int32]) -> None:
+def _bit_spans(bits: U64, spans: I32) -> None:
     one = np.uint64(1)
     nz, ny, words = bits.shape
     for z in range(nz):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.assembly.patches import FULL, PatchBank, patches_at
+from sppm_pipeline.services.arrays import F32, I32, I64, U64
 from sppm_pipeline.services.bit_rows import empty_bits, gather
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.threads import share_out
@@ -31,10 +32,10 @@ def assemble(
     x1: int,
     y0: int,
     y1: int,
-    out: NDArray[np.float32] | None = None,
+    out: F32 | None = None,
     threads: int = 1,
-    wanted: NDArray[np.int32] | None = None,
-) -> NDArray[np.float32]:
+    wanted: I32 | None = None,
+) -> F32:
     """The field G in a box of samples, layer_start <= k < layer_stop, y0 <= j < y1, x0 <= i < x1.
 
     Sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell sizes, and so on. The box may leave the tiling; beyond
@@ -68,8 +69,8 @@ def assemble_bits(
     y0: int,
     y1: int,
     threads: int = 1,
-    wanted: NDArray[np.int32] | None = None,
-) -> NDArray[np.uint64]:
+    wanted: I32 | None = None,
+) -> U64:
     """Bits (layers, y1 - y0, words) of the samples below a level: set = solid. No layer of the field is held in memory.
 
     Arguments and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid. Bits of what
@@ -97,11 +98,11 @@ def _run(
     tiling: TilingArrays,
     corner: tuple[int, int, int],
     size: tuple[int, int, int],
-    field: NDArray[np.float32] | None,
-    solid: NDArray[np.uint64] | None,
+    field: F32 | None,
+    solid: U64 | None,
     level: float,
     threads: int,
-    wanted: NDArray[np.int32] | None,
+    wanted: I32 | None,
 ) -> None:
     """Cut the box, layers x rows x columns, into blocks of layers and rows, and fill one of the arrays."""
     layers, rows, columns = size
@@ -163,9 +164,9 @@ def _add_rows(
     first: int,
     stop: int,
     row: np.uint64,
-    row_low: NDArray[np.int32],
-    row_blocks: NDArray[np.int32],
-    row_start: NDArray[np.int64],
+    row_low: I32,
+    row_blocks: I32,
+    row_start: I64,
     data: NDArray,
 ) -> None:
     """Add `count` rows of a patch, from number `row` on, for the samples first <= i < stop; x is that of the cell.
@@ -184,7 +185,7 @@ def _add_rows(
 
 
 @inline_jit
-def _copy_row(source: NDArray, start: np.uint64, target: NDArray[np.float32], to: np.uint64, count: np.uint64) -> None:
+def _copy_row(source: NDArray, start: np.uint64, target: F32, to: np.uint64, count: np.uint64) -> None:
     for i in range(count):
         target[to + i] = source[start + i]
 
@@ -193,11 +194,11 @@ def _copy_row(source: NDArray, start: np.uint64, target: NDArray[np.float32], to
 def _threshold_row(
     source: NDArray,
     start: np.uint64,
-    target: NDArray[np.uint64],
+    target: U64,
     to: np.uint64,
     count: np.uint64,
     level: np.float32 | np.int32,
-    flags: NDArray[np.uint64],
+    flags: U64,
 ) -> None:
     """Write a bit for each sample; `flags` is room for the bytes of a word."""
     each = flags.view(np.uint8)
@@ -221,29 +222,29 @@ def _assemble_blocks(
     first_block: int,
     stop_block: int,
     across: int,
-    block: NDArray[np.int64],
+    block: I64,
     rows: NDArray,
-    wanted: NDArray[np.int32],
+    wanted: I32,
     base: int,
-    start: NDArray[np.int64],
-    shape: NDArray[np.int64],
-    field: NDArray[np.float32],
-    solid: NDArray[np.uint64],
-    flags: NDArray[np.uint64],
+    start: I64,
+    shape: I64,
+    field: F32,
+    solid: U64,
+    flags: U64,
     threshold: bool,
     level: np.float32 | np.int32,
     n: int,
-    first_site: NDArray[np.int64],
-    site_shape: NDArray[np.int64],
-    begin: NDArray[np.int64],
-    patches: NDArray[np.int32],
-    low: NDArray[np.int32],
-    size: NDArray[np.int32],
-    margins: NDArray[np.int64],
-    first_row: NDArray[np.int64],
-    row_low: NDArray[np.int32],
-    row_blocks: NDArray[np.int32],
-    row_start: NDArray[np.int64],
+    first_site: I64,
+    site_shape: I64,
+    begin: I64,
+    patches: I32,
+    low: I32,
+    size: I32,
+    margins: I64,
+    first_row: I64,
+    row_low: I32,
+    row_blocks: I32,
+    row_start: I64,
     data: NDArray,
 ) -> None:
     """Sum the patches over blocks of rows, and write each block as field or solid."""

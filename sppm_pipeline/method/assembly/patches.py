@@ -22,6 +22,7 @@ from sppm_pipeline.method.kernels.kernels import Kernels, concatenated, reach_bo
 from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF, check_cutoff
 from sppm_pipeline.method.kernels.rows import LANES
 from sppm_pipeline.method.kernels.splat import add_kernels
+from sppm_pipeline.services.arrays import F32, I16, I32, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import share_out
@@ -39,18 +40,18 @@ class PatchBank(NamedTuple):
     cutoff: float  # of the kernels; below it samples are trimmed from the ends of the rows
     numbers: PieceNumbers
     # (pieces + 1,) patch of each piece, -1 = the piece is empty, -2 = it has no patch of its own; the last is -1
-    piece: NDArray[np.int32]
-    codes: NDArray[np.int64]  # (m,) sorted codes of the merged combinations
-    merged: NDArray[np.int32]  # (m,) the patch of each
-    low: NDArray[np.int32]  # (p, 3) first sample of each patch along x, y, z, relative to the low corner of the cell
-    size: NDArray[np.int32]  # (p, 3) its number of samples
+    piece: I32
+    codes: I64  # (m,) sorted codes of the merged combinations
+    merged: I32  # (m,) the patch of each
+    low: I32  # (p, 3) first sample of each patch along x, y, z, relative to the low corner of the cell
+    size: I32  # (p, 3) its number of samples
     # (p,) where the rows of a patch begin in the row tables; row (z, y) is number ``z size_y + y``
-    first_row: NDArray[np.int64]
-    row_low: NDArray[np.int32]  # (rows,) first sample relative to the cell
-    row_blocks: NDArray[np.int32]  # (rows,) length in blocks of 16 samples
-    row_start: NDArray[np.int64]  # (rows,) where it begins in `data`
+    first_row: I64
+    row_low: I32  # (rows,) first sample relative to the cell
+    row_blocks: I32  # (rows,) length in blocks of 16 samples
+    row_start: I64  # (rows,) where it begins in `data`
     # (samples,) float32, or int16 in units of ``solid_level / FULL`` and never above FULL
-    data: NDArray[np.float32] | NDArray[np.int16]
+    data: F32 | I16
     solid_level: float | None  # the only level that an int16 bank can be asked for; None for float32
 
     @property
@@ -59,7 +60,7 @@ class PatchBank(NamedTuple):
         return self.data.nbytes + self.row_low.nbytes + self.row_blocks.nbytes + self.row_start.nbytes
 
 
-def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
+def _encode(rows: I64, base: int) -> I64:
     """One number for an interior and six colors -1 <= color < base - 1; sorts as the rows do."""
     # the largest code has to fit an int64
     if (float(rows[..., 0].max(initial=0)) + 2.0) * float(base) ** 6 > 2.0**62:
@@ -74,7 +75,7 @@ def _base(numbers: PieceNumbers) -> int:
     return numbers.colors + 1
 
 
-def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[list[int], list[Kernels]]:
+def _parts(pieces: Pieces, combinations: I32 | None) -> tuple[list[int], list[Kernels]]:
     """Which pieces get patches of their own, and the kernels of the merged patches."""
     if combinations is None:
         return list(range(len(pieces))), []
@@ -90,7 +91,7 @@ def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[list
     return list(faces), merged
 
 
-def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[I64, I64] | None:
     """First sample and number of samples within reach; the length along x is a multiple of 16. None if empty."""
     pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(kernels, cutoff)
     if len(pore_lower) + len(tunnel_lower) == 0:
@@ -107,7 +108,7 @@ def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArra
 def predicted_bytes(
     pieces: Pieces,
     n: int,
-    combinations: NDArray[np.int32] | None = None,
+    combinations: I32 | None = None,
     *,
     offset: float = 0.5,
     cutoff: float = DEFAULT_CUTOFF,
@@ -131,7 +132,7 @@ def predicted_bytes(
 def build_bank(
     pieces: Pieces,
     n: int,
-    combinations: NDArray[np.int32] | None = None,
+    combinations: I32 | None = None,
     *,
     offset: float = 0.5,
     cutoff: float = DEFAULT_CUTOFF,
@@ -169,7 +170,7 @@ def build_bank(
     # Working space goes from patch to patch: fresh memory takes longer to get than to fill.
     most = int(size.prod(axis=1, dtype=np.int64).max(initial=0))
     scale = 1.0 if solid_level is None else FULL / solid_level
-    free: list[tuple[NDArray[np.float32], NDArray[np.int16]]] = []
+    free: list[tuple[F32, I16]] = []
     ends, numbers = _Ends(), iter(range(len(there)))
 
     def sampled(_: int) -> None:
@@ -227,7 +228,7 @@ def build_bank(
 
 
 @jit
-def _round(samples: NDArray[np.float32], scale: np.float32, out: NDArray[np.int16]) -> None:
+def _round(samples: F32, scale: np.float32, out: I16) -> None:
     """Samples in units of an int16 bank, none above FULL."""
     most = np.float32(FULL)
     for i in range(samples.size):
@@ -235,14 +236,7 @@ def _round(samples: NDArray[np.float32], scale: np.float32, out: NDArray[np.int1
 
 
 @jit
-def _measure(
-    dense: NDArray,
-    threshold: np.float32,
-    low: int,
-    row_low: NDArray[np.int32],
-    row_blocks: NDArray[np.int32],
-    row_start: NDArray[np.int64],
-) -> int:
+def _measure(dense: NDArray, threshold: np.float32, low: int, row_low: I32, row_blocks: I32, row_start: I64) -> int:
     """Write what each row (rows, nx) keeps, from the first to the last sample above the threshold; returns how much.
 
     Rows begin where the one before ends, the first at 0.
@@ -268,14 +262,7 @@ def _measure(
 
 
 @jit
-def _copy_rows(
-    dense: NDArray,
-    low: int,
-    row_low: NDArray[np.int32],
-    row_blocks: NDArray[np.int32],
-    row_start: NDArray[np.int64],
-    data: NDArray,
-) -> None:
+def _copy_rows(dense: NDArray, low: int, row_low: I32, row_blocks: I32, row_start: I64, data: NDArray) -> None:
     """Copy what each row keeps to where it begins in `data`."""
     flat = dense.reshape(-1)
     for row in range(dense.shape[0]):
@@ -315,9 +302,7 @@ class _Ends:
         return max(self._known.values())
 
 
-def patches_at(
-    bank: PatchBank, tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[np.int64]
-) -> tuple[Sites, NDArray[np.int64], NDArray[np.int32]]:
+def patches_at(bank: PatchBank, tiling: TilingArrays, first: I64, stop: I64) -> tuple[Sites, I64, I32]:
     """The sites that exist of first <= site < stop, and the patches at each.
 
     Those of site i, in order z, y, x, are ``patches[begin[i] : begin[i + 1]]``. Raises ValueError if the bank was built

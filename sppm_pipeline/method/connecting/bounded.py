@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.degrees import feasible_degrees
 from sppm_pipeline.method.connecting.greedy import greedy_subgraph
 from sppm_pipeline.method.connecting.trees import Periodic, as_points, images_per_pair, periods
+from sppm_pipeline.services.arrays import F64, I64
 
 MODES = ("exact", "greedy")
 
@@ -22,8 +23,8 @@ def spanning_subgraph(
     k: int = 10,
     two_edge_connected: bool = False,
     clearance: float | None = None,
-    metric: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    metric: F64 | None = None,
+) -> tuple[I64, I64]:
     """Shortest connected graph on all pores in which every degree lies in [A, B].
 
     A tree can't have every degree >= 3, so the paper's degree-bounded tree (section "Reinforcement of Pore

@@ -9,11 +9,11 @@ left out is proven to be no shorter, by weak duality.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connecting.dual_simplex import DualSimplex
 from sppm_pipeline.method.connecting.program import Program
 from sppm_pipeline.method.connecting.trees import component_labels
+from sppm_pipeline.services.arrays import F64, Bools
 
 # a relaxed variable this near to 0 or 1 counts as whole
 _WHOLE = 1e-6
@@ -26,7 +26,7 @@ _LARGEST = 300_000
 _PROGRAMS = 60
 
 
-def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack: float) -> NDArray[np.bool_] | None:
+def shortest_choice(program: Program, incumbent: Bools | None, slack: float) -> Bools | None:
     """The shortest choice of edges (m,) bool, proven to be within `slack` of any other; None if that is not reached.
 
     Rows that the search has found are left in the program: they hold for every solution. `incumbent` (m,) is one to
@@ -71,7 +71,7 @@ def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack
     return best
 
 
-def _relaxed(program: Program, branch: DualSimplex, enough: float, left: int) -> tuple[NDArray[np.float64] | None, int]:
+def _relaxed(program: Program, branch: DualSimplex, enough: float, left: int) -> tuple[F64 | None, int]:
     """The relaxed solution (m,) that violates no row that can be found, or one that is longer than `enough`.
 
     None if there is none, or none was found. Also returns how many of the `left` programs are left then; -1 if they
@@ -100,7 +100,7 @@ def _take_new_rows(program: Program, branch: DualSimplex) -> None:
     branch.add(rows, low[known:], high[known:])
 
 
-def _add_parity(program: Program, x: NDArray[np.float64]) -> bool:
+def _add_parity(program: Program, x: F64) -> bool:
     """Add the rows of parity that a relaxed solution (m,) violates around its undecided edges; whether there are any.
 
     The degrees of pores W add up to twice the edges within W and once those that leave. If they are at least a each,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connecting.buckets import (
     Buckets,
@@ -14,12 +13,11 @@ from sppm_pipeline.method.connecting.buckets import (
     wrapped_bucket,
 )
 from sppm_pipeline.method.connecting.trees import Indices, canonical_edges, component_labels, wrapped
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 
-def bridging_edges(
-    points: NDArray[np.float64], edges: Indices, period: NDArray[np.float64], skipped: NDArray[np.bool_] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def bridging_edges(points: F64, edges: Indices, period: F64, skipped: Bools | None = None) -> tuple[I64, I64]:
     """The shortest edges (b, 2), with shifts (b, 3), that join the components of a graph; none if it is connected.
 
     Each component but the largest is joined to the pore nearest to it that lies outside of it, then the components that
@@ -50,14 +48,8 @@ def bridging_edges(
 
 @jit
 def _nearest_outside(
-    cells: Buckets,
-    labels: NDArray[np.int64],
-    skipped: NDArray[np.bool_],
-    members: NDArray[np.int64],
-    start: NDArray[np.int64],
-    size: NDArray[np.int64],
-    largest: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    cells: Buckets, labels: I64, skipped: Bools, members: I64, start: I64, size: I64, largest: int
+) -> tuple[I64, I64]:
     """For each component but the largest the shortest edge that leaves it, and its shift between the wrapped pores."""
     parts = len(size)
     ends = np.zeros((parts - 1, 2), np.int64)

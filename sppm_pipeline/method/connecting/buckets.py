@@ -10,24 +10,24 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 
 class Buckets(NamedTuple):
     """Points sorted into a box of buckets; bucket (i, j, k) has the number (i ny + j) nz + k."""
 
-    points: NDArray[np.float64]  # (n, 3), inside the cell along periodic axes
-    order: NDArray[np.int32]  # (n,) points by bucket, and by index within it
-    start: NDArray[np.int64]  # (buckets + 1,) where each bucket begins in `order`
-    shape: NDArray[np.int64]
-    origin: NDArray[np.float64]  # (3,) lower corner of the grid
-    width: NDArray[np.float64]  # (3,) edges of a bucket
-    period: NDArray[np.float64]  # (3,), 0 along axes that do not repeat
+    points: F64  # (n, 3), inside the cell along periodic axes
+    order: I32  # (n,) points by bucket, and by index within it
+    start: I64  # (buckets + 1,) where each bucket begins in `order`
+    shape: I64
+    origin: F64  # (3,) lower corner of the grid
+    width: F64  # (3,) edges of a bucket
+    period: F64  # (3,), 0 along axes that do not repeat
 
 
-def sorted_into_buckets(points: NDArray[np.float64], period: NDArray[np.float64]) -> Buckets:
+def sorted_into_buckets(points: F64, period: F64) -> Buckets:
     """Sort points, of which those on periodic axes lie in [0, period), into buckets of about one point each."""
     lower = np.where(period > 0, 0.0, points.min(axis=0, initial=np.inf))
     extent = np.where(period > 0, period, points.max(axis=0, initial=-np.inf) - lower)
@@ -50,9 +50,7 @@ def bucket_along(value: float, origin: float, width: float, count: int) -> int:
 
 
 @jit
-def _sort(
-    points: NDArray[np.float64], origin: NDArray[np.float64], width: NDArray[np.float64], shape: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def _sort(points: F64, origin: F64, width: F64, shape: I64) -> tuple[I32, I64]:
     n = points.shape[0]
     number = np.empty(n, np.int32)
     start = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
@@ -75,14 +73,14 @@ def _sort(
 
 
 @jit
-def bucket_of(cells: Buckets, i: int, here: NDArray[np.int64]) -> None:
+def bucket_of(cells: Buckets, i: int, here: I64) -> None:
     """Write the bucket of point i, along x, y and z, to `here`."""
     for a in range(3):
         here[a] = bucket_along(cells.points[i, a], cells.origin[a], cells.width[a], cells.shape[a])
 
 
 @jit
-def ring_distance(cells: Buckets, here: NDArray[np.int64], i: int, ring: int) -> float:
+def ring_distance(cells: Buckets, here: I64, i: int, ring: int) -> float:
     """No point of this ring around the bucket `here` of point i, or of a later ring, is nearer to i than that."""
     least = np.inf
     for a in range(3):
@@ -93,7 +91,7 @@ def ring_distance(cells: Buckets, here: NDArray[np.int64], i: int, ring: int) ->
 
 
 @jit
-def last_ring(cells: Buckets, here: NDArray[np.int64]) -> int:
+def last_ring(cells: Buckets, here: I64) -> int:
     """The last ring that holds a bucket of the grid, or of the images one period away."""
     last = int(np.int64(0))
     for a in range(3):
@@ -103,7 +101,7 @@ def last_ring(cells: Buckets, here: NDArray[np.int64]) -> int:
 
 
 @jit
-def wrapped_bucket(cells: Buckets, here: NDArray[np.int64], dx: int, dy: int, dz: int, turn: NDArray[np.int64]) -> int:
+def wrapped_bucket(cells: Buckets, here: I64, dx: int, dy: int, dz: int, turn: I64) -> int:
     """Number of the bucket so many steps from `here`, -1 if there is none; `turn` becomes the cells to its image.
 
     Along a periodic axis images up to one period beyond the bucket's own are reached.

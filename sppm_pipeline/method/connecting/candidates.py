@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.connecting.bridging import bridging_edges
 from sppm_pipeline.method.connecting.buckets import (
@@ -22,14 +22,14 @@ from sppm_pipeline.method.connecting.trees import (
     periods,
     wrapped,
 )
-from sppm_pipeline.services.arrays import distinct
+from sppm_pipeline.services.arrays import F64, I64, distinct
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import determinants, lengths_in, semi_axes
 
 
 def candidate_graph(
-    points: ArrayLike, k: int = 10, *, periodic: Periodic = False, metric: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    points: ArrayLike, k: int = 10, *, periodic: Periodic = False, metric: F64 | None = None
+) -> tuple[I64, I64]:
     """Edges from each pore to its k nearest neighbors, in both senses, plus the shortest edges that connect them.
 
     On periodic axes every image of a pore counts as a neighbor of its own, as long as the edge is not longer than the
@@ -72,9 +72,7 @@ def candidate_graph(
     )
 
 
-def _keys_near(
-    inside: NDArray[np.float64], period: NDArray[np.float64], k: int, metric: NDArray[np.float64] | None
-) -> NDArray[np.int64]:
+def _keys_near(inside: F64, period: F64, k: int, metric: F64 | None) -> I64:
     """`nearest_keys` of all pores, by their distances in the metric: of those that are near enough plainly.
 
     A ball of the metric with k pores lies within a plain one that holds as many times more pores as its volume is
@@ -94,7 +92,7 @@ def _keys_near(
     return np.take_along_axis(keys, order, axis=1)
 
 
-def edges_of_keys(keys: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def edges_of_keys(keys: I64, n: int) -> tuple[I64, I64]:
     """Pairs i < j, (m, 2), and the periods by which the image of j is moved, (m, 3), of keys of edges."""
     pairs, image = np.divmod(keys, 27)
     edges = np.stack(np.divmod(pairs, n), axis=1)
@@ -102,7 +100,7 @@ def edges_of_keys(keys: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], N
 
 
 @jit
-def nearest_keys(cells: Buckets, pores: NDArray[np.int64], k: int) -> NDArray[np.int64]:
+def nearest_keys(cells: Buckets, pores: I64, k: int) -> I64:
     """The k nearest images around each of the pores as edges (p, k): ``(i n + j) 27 + image code`` with i < j.
 
     Empty slots hold -1. The keys are sorted as the edges are: by i, j and the image of j.
@@ -135,16 +133,7 @@ def nearest_keys(cells: Buckets, pores: NDArray[np.int64], k: int) -> NDArray[np
 
 
 @jit
-def _insert_bucket(
-    cells: Buckets,
-    i: int,
-    bucket: int,
-    turn: NDArray[np.int64],
-    best: NDArray[np.float64],
-    who: NDArray[np.int64],
-    how: NDArray[np.int64],
-    count: int,
-) -> int:
+def _insert_bucket(cells: Buckets, i: int, bucket: int, turn: I64, best: F64, who: I64, how: I64, count: int) -> int:
     """Sort the pores of a bucket, moved by `turn`, into the list of the nearest; returns its new length."""
     k = len(best)
     code = int(np.int64(0))
@@ -176,9 +165,7 @@ def _insert_bucket(
     return count
 
 
-def candidates_of_region(
-    points: NDArray[np.float64], chosen: NDArray[np.int64], k: int, metric: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def candidates_of_region(points: F64, chosen: I64, k: int, metric: F64 | None = None) -> tuple[I64, I64]:
     """Edges to the k nearest pores and those chosen, (m, 2), by (i, j), and the positions of those chosen."""
     n = len(points)
     near = _keys_near(points, np.zeros(3), k, metric).ravel()

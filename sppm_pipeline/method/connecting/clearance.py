@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.trees import Periodic, as_points, periods, segments, wrapped
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 
 def close_pairs(
-    points: NDArray[np.float64],
-    edges: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-    clearance: float,
-    *,
-    periodic: Periodic = False,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    points: F64, edges: I64, shifts: I64, clearance: float, *, periodic: Periodic = False
+) -> tuple[I64, F64]:
     """Pairs of tunnels without a common end whose axes come closer than `clearance`, and their least distances (c,).
 
     Tunnels that share a pore are exempt: they meet there by intent. On periodic axes every image of the second tunnel
@@ -40,13 +36,7 @@ def close_pairs(
 
 
 @jit
-def segment_distance(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-    d: NDArray[np.float64],
-    moved: NDArray[np.float64],
-) -> float:
+def segment_distance(a: F64, b: F64, c: F64, d: F64, moved: F64) -> float:
     """Least distance of the segment a-b from the segment c-d moved by the vector `moved`.
 
     Clamped closest points (C. Ericson, Real-Time Collision Detection, section 5.1.9).
@@ -79,14 +69,7 @@ def segment_distance(
 
 @jit
 def _close_pairs(
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    edges: NDArray[np.int64],
-    turns: NDArray[np.int64],
-    period: NDArray[np.float64],
-    clearance: float,
-    pairs: NDArray[np.int64],
-    distances: NDArray[np.float64],
+    starts: F64, ends: F64, edges: I64, turns: I64, period: F64, clearance: float, pairs: I64, distances: F64
 ) -> int:
     """Fill `pairs` and `distances` as far as there is room; returns the number of close pairs."""
     m = starts.shape[0]
@@ -136,7 +119,7 @@ def _close_pairs(
 
 
 @jit
-def _share_end(edges: NDArray[np.int64], turns: NDArray[np.int64], e: int, f: int, moved: NDArray[np.float64]) -> bool:
+def _share_end(edges: I64, turns: I64, e: int, f: int, moved: F64) -> bool:
     """True if e and the moved f end in the same image of a pore, or are the same tunnel."""
     for p in range(2):
         for q in range(2):
@@ -152,7 +135,7 @@ def _share_end(edges: NDArray[np.int64], turns: NDArray[np.int64], e: int, f: in
     return False
 
 
-def nearest_connectors(face_points: ArrayLike, interior_points: ArrayLike, *, clearance: float) -> NDArray[np.int64]:
+def nearest_connectors(face_points: ArrayLike, interior_points: ArrayLike, *, clearance: float) -> I64:
     """The interior pore that each face pore is joined to, (f,): the nearest, or the second nearest if that is free.
 
     Face pores are served in their order. The second nearest interior pore is taken if the tunnel to the nearest would
@@ -171,7 +154,7 @@ def nearest_connectors(face_points: ArrayLike, interior_points: ArrayLike, *, cl
 
 
 @jit
-def _connect(face: NDArray[np.float64], interior: NDArray[np.float64], clearance: float) -> NDArray[np.int64]:
+def _connect(face: F64, interior: F64, clearance: float) -> I64:
     f, n = face.shape[0], interior.shape[0]
     joined = np.empty(f, np.int64)
     unmoved = np.zeros(3)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import I64
 
 
 def feasible_degrees(n: int, lower: int, upper: int, *, images: int = 1, two_edge_connected: bool = False) -> None:
@@ -57,7 +57,7 @@ def clamped_degrees(n: int, lower: int, upper: int, *, images: int = 1) -> tuple
     return low, high, (low, high) != (lower, upper)
 
 
-def harary_edges(n: int, degree: int) -> NDArray[np.int64]:
+def harary_edges(n: int, degree: int) -> I64:
     """Pairs (m, 2) of a graph in which every degree is `degree`, but one is a step higher if n * degree is odd.
 
     The pairs join positions on a ring: Harary's graph, `degree`-edge-connected for degree >= 2 (F. Harary, The maximum

@@ -10,8 +10,8 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 # a basic variable may miss its bounds by this much
@@ -30,7 +30,7 @@ class DualSimplex:
     `cost`, `lower` and `upper` are (m,), `rows` (r, m), `low` and `high` (r,), infinite where there is no bound.
     """
 
-    def __init__(self, cost: NDArray[np.float64], upper: NDArray[np.float64]) -> None:
+    def __init__(self, cost: F64, upper: F64) -> None:
         m = len(cost)
         self.cost = np.asarray(cost, np.float64)
         self.lower, self.upper = np.zeros(m), np.array(upper, np.float64)
@@ -51,7 +51,7 @@ class DualSimplex:
             setattr(twin, name, getattr(self, name).copy())
         return twin
 
-    def add(self, rows: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+    def add(self, rows: F64, low: F64, high: F64) -> None:
         """Add rows (a, m) with their bounds (a,)."""
         m, known = len(self.cost), len(self.rows)
         self.rows = np.concatenate([self.rows, rows])
@@ -68,7 +68,7 @@ class DualSimplex:
         # one that is basic leaves when the bounds that it misses are kept
         self._at[self._nonbasic == variable] = value
 
-    def solution(self, pivots: int) -> NDArray[np.float64] | None:
+    def solution(self, pivots: int) -> F64 | None:
         """The solution (m,); None if there is none, see `is_infeasible`, or not after so many pivots."""
         m = len(self.cost)
         low, high = np.concatenate([self.lower, self.low]), np.concatenate([self.upper, self.high])
@@ -80,7 +80,7 @@ class DualSimplex:
         x = np.zeros(m + len(self.rows))
         x[self._nonbasic] = self._at
         x[self._basic] = self._tableau @ self._at
-        solution: NDArray[np.float64] = x[:m]
+        solution: F64 = x[:m]
         return solution
 
     def is_infeasible(self) -> bool:
@@ -109,7 +109,7 @@ class DualSimplex:
         price[~np.isfinite(np.where(price > 0, self.low, self.high))] = 0.0  # rounding: no bound, no price
         return self._least(price, self.cost - price @ self.rows)
 
-    def _least(self, of_rows: NDArray[np.float64], of_variables: NDArray[np.float64]) -> float:
+    def _least(self, of_rows: F64, of_variables: F64) -> float:
         """The least of these multiples of the rows' sums and the variables, added up, within all bounds."""
         used = of_rows != 0.0
         bound = np.where(of_rows > 0, self.low, self.high)[used]
@@ -119,15 +119,7 @@ class DualSimplex:
 
 @jit
 def _solve(
-    tableau: NDArray[np.float64],
-    basic: NDArray[np.int64],
-    nonbasic: NDArray[np.int64],
-    at: NDArray[np.float64],
-    values: NDArray[np.float64],
-    reduced: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    pivots: int,
+    tableau: F64, basic: I64, nonbasic: I64, at: F64, values: F64, reduced: F64, low: F64, high: F64, pivots: int
 ) -> tuple[bool, int]:
     """Pivot until all basic variables keep their bounds: whether they do, and else the row that none can satisfy.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.branching import shortest_choice
@@ -13,6 +12,7 @@ from sppm_pipeline.method.connecting.candidates import candidate_graph, candidat
 from sppm_pipeline.method.connecting.greedy import Edges, all_images, greedy_subgraph, merged_edges
 from sppm_pipeline.method.connecting.program import Program
 from sppm_pipeline.method.connecting.trees import component_labels, minimum_spanning_tree
+from sppm_pipeline.services.arrays import F64, I64, Bools
 
 PROVEN = 100
 """Most pores whose graph is always proven to be the shortest. For more the proof costs much and gains little: 300 pores
@@ -33,15 +33,15 @@ _SLACK = 1e-9
 
 
 def exact_subgraph(
-    points: NDArray[np.float64],
+    points: F64,
     lower: int,
     upper: int,
     *,
-    period: NDArray[np.float64],
+    period: F64,
     k: int,
     loops: bool,
     clearance: float | None,
-    metric: NDArray[np.float64] | None = None,
+    metric: F64 | None = None,
 ) -> Edges:
     """Shortest connected spanning subgraph of the candidate graph, proven up to `PROVEN` pores.
 
@@ -89,14 +89,8 @@ def exact_subgraph(
 
 
 def exactly_improved(
-    points: NDArray[np.float64],
-    edges: NDArray[np.int64],
-    lower: NDArray[np.int64],
-    upper: NDArray[np.int64],
-    tree: bool,
-    k: int,
-    metric: NDArray[np.float64] | None = None,
-) -> NDArray[np.int64]:
+    points: F64, edges: I64, lower: I64, upper: I64, tree: bool, k: int, metric: F64 | None = None
+) -> I64:
     """The shortest edges (m, 2) with degrees within the bounds of each pore that connect what the given ones connect.
 
     With `tree` no more edges than are given may be used.
@@ -112,7 +106,7 @@ def exactly_improved(
     return edges if found is None else both[found]
 
 
-def _sparse_rows(program: Program) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
+def _sparse_rows(program: Program) -> tuple[Any, F64, F64]:
     """The rows as a sparse matrix, and their bounds."""
     from scipy.sparse import csr_array
 
@@ -122,7 +116,7 @@ def _sparse_rows(program: Program) -> tuple[Any, NDArray[np.float64], NDArray[np
     return matrix, low, high
 
 
-def _relaxed(program: Program) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def _relaxed(program: Program) -> tuple[F64, F64] | None:
     """Solution of the linear relaxation and its reduced costs, both (m,); None if there is none.
 
     Adds the rows that the edges in use violate until there are none.
@@ -147,7 +141,7 @@ def _relaxed(program: Program) -> tuple[NDArray[np.float64], NDArray[np.float64]
             return result.x, result.lower.marginals + result.upper.marginals
 
 
-def _whole(program: Program, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+def _whole(program: Program, low: F64, high: F64) -> Bools | None:
     """The shortest choice of edges with ``low <= x <= high``, (m,) bool; None if there is none."""
     from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -163,7 +157,7 @@ def _whole(program: Program, low: NDArray[np.float64], high: NDArray[np.float64]
         )
         if not _solved(program, result):
             return None
-        chosen: NDArray[np.bool_] = result.x > 0.5
+        chosen: Bools = result.x > 0.5
         if not program.cut_off(chosen):
             return chosen
 
@@ -178,7 +172,7 @@ def _solved(program: Program, result: Any) -> bool:
     )
 
 
-def _solution(program: Program, incumbent: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+def _solution(program: Program, incumbent: Bools | None) -> Bools | None:
     """Which edges are chosen, (m,) bool; None if there is no solution.
 
     Most programs of some hundred pores need no solver, see `shortest_choice`. For the others first only those edges

@@ -6,7 +6,6 @@ Tables and moves are those of `moves`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connecting.moves import (
     CHOSEN,
@@ -23,18 +22,13 @@ from sppm_pipeline.method.connecting.moves import (
     joined,
 )
 from sppm_pipeline.method.connecting.trees import mark_bridges
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root
 
 
 @jit
-def connect_and_fill(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-    order: NDArray[np.int64],
-) -> bool:
+def connect_and_fill(edge: I64, node: I64, length: F64, near: I64, order: I64) -> bool:
     """Choose a spanning tree with degrees <= upper, then edges until every degree is >= lower.
 
     Returns False if there are not enough candidate edges for it.
@@ -56,7 +50,7 @@ def connect_and_fill(
 
 
 @jit
-def fill(edge: NDArray[np.int64], node: NDArray[np.int64], order: NDArray[np.int64]) -> None:
+def fill(edge: I64, node: I64, order: I64) -> None:
     """Add edges, the shortest first, between vertices that are both below their lower bounds."""
     for e in order:
         u, v = edge[e, 0], edge[e, 1]
@@ -65,9 +59,7 @@ def fill(edge: NDArray[np.int64], node: NDArray[np.int64], order: NDArray[np.int
 
 
 @jit
-def raise_degrees(
-    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
-) -> int:
+def raise_degrees(edge: I64, node: I64, length: F64, near: I64) -> int:
     """Add edges until every degree is >= lower; returns how many vertices find no candidate edges for it."""
     left = int(np.int64(0))
     for u in range(node.shape[0] - 1):
@@ -79,9 +71,7 @@ def raise_degrees(
 
 
 @jit
-def lower_degrees(
-    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
-) -> int:
+def lower_degrees(edge: I64, node: I64, length: F64, near: I64) -> int:
     """Turn edges at vertices above their upper bound to other vertices near by; returns how many stay above it."""
     none = int(np.int64(-1))
     left = int(np.int64(0))
@@ -113,9 +103,7 @@ def lower_degrees(
 
 
 @jit
-def _raise_degree(
-    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64], u: int
-) -> bool:
+def _raise_degree(edge: I64, node: I64, length: F64, near: I64, u: int) -> bool:
     """One more edge at u along the cheapest trail: in; in, out; or in, out, in."""
     none = int(np.int64(-1))
     best = np.inf
@@ -156,15 +144,7 @@ def _raise_degree(
 
 
 @jit
-def improve(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    conflict: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-    waiting: NDArray[np.bool_],
-    loops: bool,
-) -> None:
+def improve(edge: I64, node: I64, conflict: I64, length: F64, near: I64, waiting: Bools, loops: bool) -> None:
     """Make moves that shorten the graph until none is left; a vertex is tried again after a move near it.
 
     Only the vertices `waiting` are tried at first; none is when this returns.
@@ -195,14 +175,7 @@ def improve(
 
 @jit
 def _shorter(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    conflict: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-    t0: int,
-    loops: bool,
-    penalty: float,
+    edge: I64, node: I64, conflict: I64, length: F64, near: I64, t0: int, loops: bool, penalty: float
 ) -> tuple[int, int, int, int]:
     """The first shortening move whose trail starts by taking out an edge at t0: (out, out, in, in), -1 for none.
 
@@ -253,9 +226,7 @@ def _shorter(
 
 
 @jit
-def make_loops(
-    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
-) -> bool:
+def make_loops(edge: I64, node: I64, length: F64, near: I64) -> bool:
     """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
 
     Either one edge is added, or one edge of each block is replaced by two edges between the blocks; an edge of a loop

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.candidates import candidate_graph
@@ -12,23 +11,24 @@ from sppm_pipeline.method.connecting.degrees import harary_edges
 from sppm_pipeline.method.connecting.exchange import connect_and_fill, improve, make_loops
 from sppm_pipeline.method.connecting.moves import CHOSEN, edge_table, insert_all, node_table
 from sppm_pipeline.method.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
+from sppm_pipeline.services.arrays import F64, I64
 
-Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
+Edges = tuple[I64, I64]
 
 # beyond this many neighbors per pore a graph that can't be completed is replaced by a ring graph
 _MAX_NEIGHBORS = 40
 
 
 def greedy_subgraph(
-    points: NDArray[np.float64],
+    points: F64,
     lower: int,
     upper: int,
     *,
-    period: NDArray[np.float64],
+    period: F64,
     k: int,
     loops: bool,
     clearance: float | None,
-    metric: NDArray[np.float64] | None = None,
+    metric: F64 | None = None,
 ) -> Edges:
     """Short connected spanning subgraph with degrees in [lower, upper]; the bounds must be feasible.
 
@@ -71,18 +71,12 @@ def greedy_subgraph(
         k = min(2 * k, most)
 
 
-def all_images(n: int, period: NDArray[np.float64]) -> int:
+def all_images(n: int, period: F64) -> int:
     """More neighbors than a pore among n can have: every image of every other pore."""
     return max((n - 1) * int(3 ** np.count_nonzero(period)), 1)
 
 
-def _clearance_error(
-    points: NDArray[np.float64],
-    edges: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-    period: NDArray[np.float64],
-    clearance: float,
-) -> DesignError:
+def _clearance_error(points: F64, edges: I64, shifts: I64, period: F64, clearance: float) -> DesignError:
     """The error for a clearance that can't be held, with the figures of the graph that came nearest to it."""
     _, distances = close_pairs(points, edges, shifts, clearance, periodic=period.tolist())
     return DesignError(
@@ -92,22 +86,14 @@ def _clearance_error(
     )
 
 
-def _conflicts(
-    points: NDArray[np.float64],
-    edges: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-    period: NDArray[np.float64],
-    clearance: float | None,
-) -> NDArray[np.int64]:
+def _conflicts(points: F64, edges: I64, shifts: I64, period: F64, clearance: float | None) -> I64:
     """The pairs (c, 2) of edges that exclude each other; an edge too close to its own image excludes itself."""
     if clearance is None:
         return np.zeros((0, 2), np.int64)
     return close_pairs(points, edges, shifts, clearance, periodic=period.tolist())[0]
 
 
-def merged_edges(
-    edges: NDArray[np.int64], shifts: NDArray[np.int64], more_edges: NDArray[np.int64], more_shifts: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def merged_edges(edges: I64, shifts: I64, more_edges: I64, more_shifts: I64) -> tuple[I64, I64, I64]:
     """The union of two sets of edges in canonical order, and the positions of the second set in it."""
     edges, shifts = canonical_edges(np.concatenate([edges, more_edges]), np.concatenate([shifts, more_shifts]))
     position = {tuple(row): e for e, row in enumerate(np.concatenate([edges, shifts], axis=1).tolist())}
@@ -115,7 +101,7 @@ def merged_edges(
     return edges, shifts, np.array([position[tuple(row)] for row in rows], dtype=np.int64)
 
 
-def _ring_graph(points: NDArray[np.float64], period: NDArray[np.float64], degree: int) -> Edges:
+def _ring_graph(points: F64, period: F64, degree: int) -> Edges:
     """Harary's graph on the pores in the order of a walk round their minimum spanning tree; pairs i < j."""
     n = len(points)
     ring = _walk(n, minimum_spanning_tree(points, periodic=period.tolist())[0])
@@ -130,7 +116,7 @@ def _ring_graph(points: NDArray[np.float64], period: NDArray[np.float64], degree
     return pairs, shifts
 
 
-def _walk(n: int, tree: NDArray[np.int64]) -> NDArray[np.int64]:
+def _walk(n: int, tree: I64) -> I64:
     """The vertices of a tree in depth-first order: neighbors on the walk are near each other."""
     around: list[list[int]] = [[] for _ in range(n)]
     for i, j in tree.tolist():
@@ -148,11 +134,11 @@ def _walk(n: int, tree: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array(order, dtype=np.int64)
 
 
-def _image(points: NDArray[np.float64], i: int, j: int, rank: int, period: NDArray[np.float64]) -> NDArray[np.int64]:
+def _image(points: F64, i: int, j: int, rank: int, period: F64) -> I64:
     """Shift to the rank-th nearest image of j seen from i."""
     reach = [np.arange(-1, 2) * p if p else np.zeros(1) for p in period]
     grid = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 3)
     shifts = grid + nearest_turns(points[j] - points[i], period)
     order = np.argsort(((points[j] + shifts - points[i]) ** 2).sum(axis=1), kind="stable")
-    chosen: NDArray[np.int64] = shifts[order[rank]].astype(np.int64)
+    chosen: I64 = shifts[order[rank]].astype(np.int64)
     return chosen

@@ -19,9 +19,9 @@ each combination of literals.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connecting.trees import mark_bridges
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 CHOSEN, CONFLICT_FROM, CONFLICT_TO = 2, 3, 4
@@ -29,9 +29,7 @@ CHOSEN, CONFLICT_FROM, CONFLICT_TO = 2, 3, 4
 DEGREE, FROM, TO, SEEN, QUEUE, LOWER, UPPER, SLOTS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
-def edge_table(
-    edges: NDArray[np.int64], length: NDArray[np.float64], conflicts: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def edge_table(edges: I64, length: F64, conflicts: I64) -> tuple[I64, I64, I64, I64]:
     """The table ``edge`` with no edge chosen, ``conflict``, ``near``, and the edges by rising length, (m,).
 
     `conflicts` (c, 2) are pairs of edges that exclude each other; a pair (e, e) excludes e.
@@ -49,14 +47,7 @@ def edge_table(
     return edge, conflict, near, order
 
 
-def node_table(
-    n: int,
-    edges: NDArray[np.int64],
-    lower: int | NDArray[np.int64],
-    upper: int | NDArray[np.int64],
-    slots: int,
-    detour: int,
-) -> NDArray[np.int64]:
+def node_table(n: int, edges: I64, lower: int | I64, upper: int | I64, slots: int, detour: int) -> I64:
     """The table ``node`` for the candidate edges (m, 2) and bounds of the degrees of n vertices, with no edge chosen.
 
     There is room for `slots` chosen edges at each vertex; a way round is looked for among `detour` vertices.
@@ -71,7 +62,7 @@ def node_table(
 
 
 @jit
-def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
+def insert(edge: I64, node: I64, e: int) -> None:
     """Choose edge e."""
     edge[e, CHOSEN] = 1
     for p in range(2):
@@ -81,14 +72,14 @@ def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
 
 
 @jit
-def insert_all(edge: NDArray[np.int64], node: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+def insert_all(edge: I64, node: I64, chosen: I64) -> None:
     """Choose the edges."""
     for e in chosen:
         insert(edge, node, e)
 
 
 @jit
-def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
+def _remove(edge: I64, node: I64, e: int) -> None:
     edge[e, CHOSEN] = 0
     for p in range(2):
         v = edge[e, p]
@@ -101,7 +92,7 @@ def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
 
 
 @jit
-def apply_move(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
+def apply_move(edge: I64, node: I64, out1: int, out2: int, in1: int, in2: int) -> None:
     """Take the edges out and put the others in; -1 stands for none."""
     for e in (out1, out2):
         if e >= 0:
@@ -112,7 +103,7 @@ def apply_move(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2
 
 
 @jit
-def clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: int, out2: int, beside: int) -> bool:
+def clear(edge: I64, conflict: I64, e: int, out1: int, out2: int, beside: int) -> bool:
     """True if e conflicts neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
     for s in range(edge[e, CONFLICT_FROM], edge[e, CONFLICT_TO]):
         f = conflict[s]
@@ -122,9 +113,7 @@ def clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: in
 
 
 @jit
-def joined(
-    edge: NDArray[np.int64], node: NDArray[np.int64], start: int, goal: int, out1: int, out2: int, in1: int, in2: int
-) -> bool:
+def joined(edge: I64, node: I64, start: int, goal: int, out1: int, out2: int, in1: int, in2: int) -> bool:
     """True if a path leads from start to goal once the move is made (breadth first; neighbors are met soon).
 
     After the number of vertices in the last row's `UPPER` the search gives up, and the answer is no.
@@ -159,16 +148,7 @@ def joined(
 
 
 @jit
-def allowed(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    conflict: NDArray[np.int64],
-    out1: int,
-    out2: int,
-    in1: int,
-    in2: int,
-    loops: bool,
-) -> bool:
+def allowed(edge: I64, node: I64, conflict: I64, out1: int, out2: int, in1: int, in2: int, loops: bool) -> bool:
     """True if the move keeps the graph connected (with `loops`: without bridges) and clear. Degrees are not checked."""
     for e, beside in ((in1, in2), (in2, in1)):
         if e >= 0 and not clear(edge, conflict, e, out1, out2, beside):

@@ -12,12 +12,12 @@ import contextlib
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.degrees import clamped_degrees, feasible_degrees
 from sppm_pipeline.method.connecting.exchange import connect_and_fill, improve
 from sppm_pipeline.method.connecting.moves import CHOSEN, CONFLICT_FROM, DEGREE, FROM, LOWER, SLOTS, TO, UPPER
+from sppm_pipeline.services.arrays import F64, I8, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import ordered_map
 
@@ -30,15 +30,8 @@ _RUN = 128
 
 
 def greedy_pieces(
-    points: NDArray[np.float64],
-    order: NDArray[np.int64],
-    first: NDArray[np.int64],
-    pieces: NDArray[np.int64],
-    degrees: NDArray[np.int64],
-    *,
-    k: int,
-    threads: int = 1,
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]]:
+    points: F64, order: I64, first: I64, pieces: I64, degrees: I64, *, k: int, threads: int = 1
+) -> Iterator[tuple[I64, I32, I64]]:
     """The graphs of `greedy_subgraph` for many pieces that do not repeat, without clearance or loops.
 
     `order` (n,) are the pores by piece, where each begins at `first` (number of pieces + 1,); `pieces` (p,) those to be
@@ -53,7 +46,7 @@ def greedy_pieces(
     bound = np.concatenate([[0], np.cumsum((first[pieces + 1] - first[pieces]) * degrees[:, 1] // 2)])
     room = np.empty((int(bound[-1]), 2), np.int32)
 
-    def joined(start: int) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+    def joined(start: int) -> tuple[I64, I32, I64]:
         own = pieces[start : start + _RUN]
         counts = np.empty(len(own), np.int64)
         rows = room[bound[start] : bound[start + len(own)]]
@@ -64,7 +57,7 @@ def greedy_pieces(
     return ordered_map(joined, runs, min(threads, max(len(runs), 1)))
 
 
-def piece_degrees(sizes: NDArray[np.int64], interiors: int, degree: tuple[int, int]) -> NDArray[np.int64]:
+def piece_degrees(sizes: I64, interiors: int, degree: tuple[int, int]) -> I64:
     """Bounds of the degrees in each piece, (p, 2); 0, 0 for one that is left to `greedy_subgraph`.
 
     Those are the pieces of more than `LARGEST` pores, and those in which no graph has these degrees. `sizes` (p,) are
@@ -85,16 +78,7 @@ def piece_degrees(sizes: NDArray[np.int64], interiors: int, degree: tuple[int, i
 
 
 @jit
-def _join(
-    points: NDArray[np.float64],
-    order: NDArray[np.int64],
-    first: NDArray[np.int64],
-    pieces: NDArray[np.int64],
-    degrees: NDArray[np.int64],
-    k: int,
-    room: NDArray[np.int32],
-    counts: NDArray[np.int64],
-) -> int:
+def _join(points: F64, order: I64, first: I64, pieces: I64, degrees: I64, k: int, room: I32, counts: I64) -> int:
     """Write the edges of the pieces to `room` and their numbers to `counts`; returns how many rows were written."""
     used = 0
     conflict = np.zeros(0, np.int64)
@@ -131,7 +115,7 @@ def _join(
 
 
 @jit
-def _candidates(points: NDArray[np.float64], k: int) -> NDArray[np.int64]:
+def _candidates(points: F64, k: int) -> I64:
     """The table ``edge`` of `exchange` of all pairs of which one is among the k nearest of the other, sorted.
 
     Equally near neighbors are taken by index, as in `candidate_graph`.
@@ -174,7 +158,7 @@ def _candidates(points: NDArray[np.float64], k: int) -> NDArray[np.int64]:
 
 
 @jit
-def _stable_order(length: NDArray[np.float64]) -> NDArray[np.int64]:
+def _stable_order(length: F64) -> I64:
     """The indices that sort by length, equal ones by index: sorted roughly by counting, then by insertion."""
     m = len(length)
     shortest, longest = np.inf, 0.0
@@ -204,7 +188,7 @@ def _stable_order(length: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 @jit
-def _nodes(n: int, edge: NDArray[np.int64], lower: int, upper: int) -> NDArray[np.int64]:
+def _nodes(n: int, edge: I64, lower: int, upper: int) -> I64:
     """`node_table` of the candidate edges."""
     node = np.zeros((n + 1, SLOTS + upper), np.int64)
     for e in range(edge.shape[0]):
@@ -221,7 +205,7 @@ def _nodes(n: int, edge: NDArray[np.int64], lower: int, upper: int) -> NDArray[n
 
 
 @jit
-def _near(edge: NDArray[np.int64], node: NDArray[np.int64], by_length: NDArray[np.int64]) -> NDArray[np.int64]:
+def _near(edge: I64, node: I64, by_length: I64) -> I64:
     """The edges at each vertex by rising length, in the ranges that `node` names."""
     near = np.empty(2 * len(by_length), np.int64)
     for e in by_length:
@@ -235,13 +219,7 @@ def _near(edge: NDArray[np.int64], node: NDArray[np.int64], by_length: NDArray[n
     return near
 
 
-def nearest_in_interiors(
-    points: NDArray[np.float64],
-    order: NDArray[np.int64],
-    first: NDArray[np.int64],
-    meetings: NDArray[np.int64],
-    faces: NDArray[np.int64],
-) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+def nearest_in_interiors(points: F64, order: I64, first: I64, meetings: I64, faces: I64) -> tuple[I32, I8]:
     """For every face pore, on every side where it meets an interior, the nearest pore of that interior.
 
     `order` (n,) are the pores by piece, where each begins at `first` (pieces + 1,). `meetings` (p, 4) are rows
@@ -257,15 +235,7 @@ def nearest_in_interiors(
 
 
 @jit
-def _nearest(
-    points: NDArray[np.float64],
-    order: NDArray[np.int64],
-    first: NDArray[np.int64],
-    meetings: NDArray[np.int64],
-    faces: NDArray[np.int64],
-    edges: NDArray[np.int32],
-    shifts: NDArray[np.int8],
-) -> None:
+def _nearest(points: F64, order: I64, first: I64, meetings: I64, faces: I64, edges: I32, shifts: I8) -> None:
     row = 0
     for meeting in range(len(faces)):
         inside, face = meetings[meeting, 0], faces[meeting]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connecting.clearance import close_pairs
 from sppm_pipeline.method.connecting.trees import bridge_mask, component_labels, edge_lengths, kruskal
+from sppm_pipeline.services.arrays import F64, I64, Bools
 
 # clusters of the spanning tree up to this size get a row at once; larger ones only if a solution violates it
 _CLUSTER = 60
@@ -17,10 +17,10 @@ _CLUSTER = 60
 class Rows(NamedTuple):
     """Rows ``low <= sum of x over some edges <= high``."""
 
-    columns: NDArray[np.int64]  # (c,) edges of the first row, then those of the second, and so on
-    counts: NDArray[np.int64]  # (r,) edges of each row
-    low: NDArray[np.float64]  # (r,), infinite where there is no bound
-    high: NDArray[np.float64]  # (r,), likewise
+    columns: I64  # (c,) edges of the first row, then those of the second, and so on
+    counts: I64  # (r,) edges of each row
+    low: F64  # (r,), infinite where there is no bound
+    high: F64  # (r,), likewise
 
 
 class Program:
@@ -28,18 +28,18 @@ class Program:
 
     def __init__(
         self,
-        points: NDArray[np.float64],
-        edges: NDArray[np.int64],
-        shifts: NDArray[np.int64],
-        lower: int | NDArray[np.int64],
-        upper: int | NDArray[np.int64],
+        points: F64,
+        edges: I64,
+        shifts: I64,
+        lower: int | I64,
+        upper: int | I64,
         *,
         tree: bool,
-        connected: NDArray[np.int64],
+        connected: I64,
         loops: bool = False,
-        period: NDArray[np.float64] | None = None,
+        period: F64 | None = None,
         clearance: float | None = None,
-        metric: NDArray[np.float64] | None = None,
+        metric: F64 | None = None,
     ) -> None:
         """`connected` are labels (n,): pores of one label are connected in every solution, others need not be."""
         n, m = len(points), len(edges)
@@ -72,7 +72,7 @@ class Program:
         if self.tree:
             self._add_clusters()
 
-    def add(self, columns: NDArray[np.int64], low: float, high: float) -> None:
+    def add(self, columns: I64, low: float, high: float) -> None:
         """Add the row of the edges `columns`."""
         self._columns.append(columns)
         self._counts.append(np.array([len(columns)]))
@@ -99,16 +99,16 @@ class Program:
                 self._add_loop_free(np.isin(np.arange(self.n), members[a]))
             name[members[a]] = a
 
-    def _add_loop_free(self, part: NDArray[np.bool_]) -> None:
+    def _add_loop_free(self, part: Bools) -> None:
         within = np.flatnonzero(part[self.edges].all(axis=1))
         if len(within) >= part.sum():
             self.add(within, -np.inf, float(part.sum() - 1))
 
-    def _add_cut(self, part: NDArray[np.bool_]) -> None:
+    def _add_cut(self, part: Bools) -> None:
         crossing = np.flatnonzero(part[self.edges[:, 0]] != part[self.edges[:, 1]])
         self.add(crossing, 2.0 if self.loops else 1.0, np.inf)
 
-    def cut_off(self, chosen: NDArray[np.bool_]) -> bool:
+    def cut_off(self, chosen: Bools) -> bool:
         """Add rows that the chosen edges (m,) bool violate; False if there are none."""
         picked = self.edges[chosen]
         labels = component_labels(self.n, picked)
@@ -139,7 +139,7 @@ class Program:
             found |= bool(fresh.any())
         return found
 
-    def _cut_bridges(self, picked: NDArray[np.int64]) -> bool:
+    def _cut_bridges(self, picked: I64) -> bool:
         bridges = np.flatnonzero(bridge_mask(self.n, picked))
         for e in bridges.tolist():
             self._add_cut(component_labels(self.n, np.delete(picked, e, axis=0)) == 0)

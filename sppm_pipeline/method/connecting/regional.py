@@ -14,7 +14,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.candidates import candidate_graph, candidates_of_region
@@ -30,6 +29,7 @@ from sppm_pipeline.method.connecting.relative_degrees import (
     tree_of,
 )
 from sppm_pipeline.method.connecting.trees import component_labels, edge_lengths, wrapped
+from sppm_pipeline.services.arrays import F64, I8, I32, I64, Bools
 from sppm_pipeline.services.threads import ordered_map
 
 WHOLE = 2000
@@ -59,8 +59,8 @@ DETOUR, DETOUR_OF_TREE = 3000, 300
 are long: 4000 pores in regions of 700 come out 3.8, 1.6 and 0.4 % longer than joined at once with 300, 1000 and
 3000. In trees, where most searches end in vain, 3000 takes three times as long as 300 for 0.04 %."""
 
-Turns = NDArray[np.int8]
-Ends = tuple[NDArray[np.int32], NDArray[np.int64]]
+Turns = I8
+Ends = tuple[I32, I64]
 """Result of `ends_by_pore`."""
 
 
@@ -68,33 +68,33 @@ class Region(NamedTuple):
     """The pores of a region, the edges among them, and those that stay."""
 
     # (n, 3) in one piece: images of the pores where the region lies across a periodic border
-    points: NDArray[np.float64]
-    edges: NDArray[np.int64]  # (m, 2) pairs i < j among them
+    points: F64
+    edges: I64  # (m, 2) pairs i < j among them
     # (f, 2) edges that lead out, and those among the pores around it, which have numbers from n on
-    fixed: NDArray[np.int64]
-    lower: NDArray[np.int64]  # (n,) bounds of the degrees, less the edges that are not listed here
-    upper: NDArray[np.int64]  # (n,), likewise
-    waiting: NDArray[np.bool_]  # (n,) where shorter edges are looked for first
-    metric: NDArray[np.float64] | None = None  # (n, 6)
+    fixed: I64
+    lower: I64  # (n,) bounds of the degrees, less the edges that are not listed here
+    upper: I64  # (n,), likewise
+    waiting: Bools  # (n,) where shorter edges are looked for first
+    metric: F64 | None = None  # (n, 6)
 
 
 class Cut(NamedTuple):
     """Division of the box into regions of equal size."""
 
-    origin: NDArray[np.float64]  # (3,) of the lattice of regions
-    edge: NDArray[np.float64]  # (3,)
-    regions: NDArray[np.int64]  # (3,) along each axis before they are moved
+    origin: F64  # (3,) of the lattice of regions
+    edge: F64  # (3,)
+    regions: I64  # (3,) along each axis before they are moved
     offset: float  # fraction of an edge by which they are moved
 
-    def shape(self, period: NDArray[np.float64]) -> NDArray[np.int64]:
+    def shape(self, period: F64) -> I64:
         """Regions along each axis; where nothing repeats, moved ones are one more."""
         return np.asarray(self.regions + ((self.offset > 0) & (period <= 0)))
 
-    def in_regions(self, points: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[np.float64]:
+    def in_regions(self, points: F64, period: F64) -> F64:
         """Positions (n, 3) in edges of a region; region (i, j, k) lies between i and i + 1, and so on."""
         return (points - self.origin) / self.edge + np.where(period > 0, -self.offset, self.offset)
 
-    def places(self, points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.int64], Turns]:
+    def places(self, points: F64, period: F64) -> tuple[I64, Turns]:
         """Number of the region of each pore, (n,), and the periods by which its image there is moved, (n, 3)."""
         index = np.floor(self.in_regions(points, period)).astype(np.int64)
         turns = ((index < 0) & (period > 0)).astype(np.int8)
@@ -102,32 +102,32 @@ class Cut(NamedTuple):
         index = np.clip(index + self.regions * turns, 0, shape - 1)
         return np.ravel_multi_index(tuple(index.T), tuple(shape)), turns
 
-    def colors(self, period: NDArray[np.float64]) -> NDArray[np.int64]:
+    def colors(self, period: F64) -> I64:
         """Colors of all regions: two that touch have different ones."""
         parity = [np.arange(count) % 2 for count in self.shape(period)]
         for axis in np.flatnonzero((period > 0) & (self.regions % 2 == 1) & (self.regions > 1)):
             parity[axis][-1] = 2
-        color: NDArray[np.int64] = np.ravel_multi_index(np.meshgrid(*parity, indexing="ij"), (3, 3, 3)).ravel()
+        color: I64 = np.ravel_multi_index(np.meshgrid(*parity, indexing="ij"), (3, 3, 3)).ravel()
         return color
 
-    def around(self, region: int, period: NDArray[np.float64]) -> NDArray[np.int64]:
+    def around(self, region: int, period: F64) -> I64:
         """The regions that touch one, without itself."""
         shape = self.shape(period)
         index = np.array(np.unravel_index(region, shape)) + np.argwhere(np.ones((3, 3, 3), bool)) - 1
         index = np.where(period > 0, index % shape, index)
         index = index[((index >= 0) & (index < shape)).all(axis=1)]
-        beside: NDArray[np.int64] = np.setdiff1d(np.ravel_multi_index(tuple(index.T), tuple(shape)), region)
+        beside: I64 = np.setdiff1d(np.ravel_multi_index(tuple(index.T), tuple(shape)), region)
         return beside
 
-    def near_border(self, points: NDArray[np.float64], period: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
+    def near_border(self, points: F64, period: F64, margin: float) -> Bools:
         """Which points lie at most `margin` from the border of a region."""
         place = self.in_regions(points, period)
         return np.asarray((np.abs(place - np.rint(place)) * self.edge <= margin).any(axis=1))
 
 
 def regional_subgraph(
-    points: NDArray[np.float64],
-    period: NDArray[np.float64],
+    points: F64,
+    period: F64,
     degree: tuple[int, int],
     *,
     spacing: float,
@@ -135,8 +135,8 @@ def regional_subgraph(
     k: int,
     threads: int = 1,
     progress: Callable[[float, float], None] = lambda done, total: None,
-    metric: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    metric: F64 | None = None,
+) -> tuple[I32, I32]:
     """Short connected graph on any number of pores with all degrees in [A, B], the same for any number of threads.
 
     `period` (3,) as in `trees.periods`; `spacing` is the mean distance of pores, which sizes regions and searches. How
@@ -188,7 +188,7 @@ def _misfits(network: Network, n: int, degree: tuple[int, int]) -> int:
     return int(((found < degree[0]) | (found > degree[1])).sum())
 
 
-def _cut(inside: NDArray[np.float64], period: NDArray[np.float64], most: int, offset: float) -> Cut:
+def _cut(inside: F64, period: F64, most: int, offset: float) -> Cut:
     """Regions of about `most` pores, as nearly cubes as the box allows."""
     origin = np.where(period > 0, 0.0, inside.min(axis=0))
     extent = np.where(period > 0, period, inside.max(axis=0) - origin)
@@ -201,43 +201,43 @@ def _cut(inside: NDArray[np.float64], period: NDArray[np.float64], most: int, of
 class Sorted(NamedTuple):
     """Pores by region: those of region r are ``pores[first[r] : first[r + 1]]``; `turns` are those of `Cut.places`."""
 
-    inside: NDArray[np.float64]
-    period: NDArray[np.float64]
+    inside: F64
+    period: F64
     cut: Cut
     turns: Turns
-    pores: NDArray[np.int32]
-    first: NDArray[np.int64]
+    pores: I32
+    first: I64
 
-    def own(self, region: int) -> NDArray[np.int32]:
+    def own(self, region: int) -> I32:
         """The pores of a region, ascending."""
         return self.pores[self.first[region] : self.first[region + 1]]
 
-    def near(self, region: int, margin: float) -> NDArray[np.int32]:
+    def near(self, region: int, margin: float) -> I32:
         """The pores of the regions around one that lie at most `margin` away from it along each axis."""
         beside = np.concatenate([self.pores[:0], *(self.own(b) for b in self.cut.around(region, self.period))])
         middle = np.array(np.unravel_index(region, self.cut.shape(self.period))) + 0.5
         off = self.cut.in_regions(self.inside[beside], self.period) - middle
         off -= np.where(self.period > 0, np.rint(off / self.cut.regions) * self.cut.regions, 0)
-        kept: NDArray[np.int32] = beside[((np.abs(off) - 0.5) * self.cut.edge <= margin).all(axis=1)]
+        kept: I32 = beside[((np.abs(off) - 0.5) * self.cut.edge <= margin).all(axis=1)]
         return kept
 
-    def is_within(self, edges: NDArray[np.int32], turns: Turns) -> NDArray[np.bool_]:
+    def is_within(self, edges: I32, turns: Turns) -> Bools:
         """Mask of the edges between pores of one region that lead to the images of these in the region."""
         return np.asarray((self.turns[edges[:, 1]] - self.turns[edges[:, 0]] == turns).all(axis=1))
 
 
 def _pass(
-    inside: NDArray[np.float64],
-    period: NDArray[np.float64],
+    inside: F64,
+    period: F64,
     network: Network,
     degree: tuple[int, int],
     cut: Cut,
-    waiting: NDArray[np.bool_],
+    waiting: Bools,
     how: str,
     k: int,
     margin: float,
     threads: int,
-    metric: NDArray[np.float64] | None,
+    metric: F64 | None,
 ) -> Network:
     """The network after every region was improved once, color after color."""
     number, turns = cut.places(inside, period)
@@ -250,9 +250,7 @@ def _pass(
         total = degrees_of(len(inside), before.edges)
         ends = ends_by_pore(before.edges, total)
 
-        def improved(
-            r: int, before: Network = before, total: NDArray[np.int32] = total, ends: Ends = ends
-        ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        def improved(r: int, before: Network = before, total: I32 = total, ends: Ends = ends) -> tuple[I64, I32]:
             """Edges of the network that a region replaces, and those that take their place."""
             own = pores.own(r)
             # the exact mode knows of no way around
@@ -285,9 +283,7 @@ def _pass(
     return network
 
 
-def _edges_among(
-    known: NDArray[np.int32], edges: NDArray[np.int32], ends: Ends
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _edges_among(known: I32, edges: I32, ends: Ends) -> tuple[I64, I64]:
     """Ascending indices of the edges that join two of the known pores, and their ends (m, 2) as places in `known`."""
     around, start = ends
     count = start[known + 1] - start[known]
@@ -298,7 +294,7 @@ def _edges_among(
     return which, order[np.searchsorted(known, edges[which], sorter=order)]
 
 
-def greedily_improved(region: Region, k: int, detour: int) -> NDArray[np.int64]:
+def greedily_improved(region: Region, k: int, detour: int) -> I64:
     """The edges of a region after missing ones were added, superfluous ones turned away, and long ones exchanged."""
     n = len(region.points)
     own, chosen = candidates_of_region(region.points, region.edges, k, region.metric)
@@ -328,5 +324,5 @@ def greedily_improved(region: Region, k: int, detour: int) -> NDArray[np.int64]:
     fill(edge, node, order)
     raise_degrees(edge, node, length, near)
     improve(edge, node, conflict, length, near, waiting, False)
-    kept: NDArray[np.int64] = own[edge[: len(own), CHOSEN] == 1]
+    kept: I64 = own[edge[: len(own), CHOSEN] == 1]
     return kept

@@ -10,10 +10,10 @@ that neither a third pore nor another image of its own ends can be nearer to bot
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connecting.buckets import Buckets, bucket_along, sorted_into_buckets
 from sppm_pipeline.method.connecting.trees import wrapped
+from sppm_pipeline.services.arrays import F64, I8, I32
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import ordered_map
 
@@ -32,9 +32,7 @@ _NEAREST = 8
 """Pores of the ball that are sorted: the nearest hide most of the others. Only speed depends on it."""
 
 
-def relative_neighbors(
-    points: NDArray[np.float64], period: NDArray[np.float64], *, reach: float = np.inf, threads: int = 1
-) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+def relative_neighbors(points: F64, period: F64, *, reach: float = np.inf, threads: int = 1) -> tuple[I32, I8]:
     """Edges (m, 2) of the relative neighborhood graph that are at most `reach` long, pairs i < j by i, and their turns.
 
     Turns (m, 3) are the periods by which the image of j is moved, after both were moved into [0, period): -1, 0 or 1.
@@ -55,7 +53,7 @@ def relative_neighbors(
     room = float(np.prod(cells.width)) * np.count_nonzero(np.diff(cells.start)) / len(points)
     radius = max(_RADIUS * room ** (1 / 3), 1e-150)
 
-    def chunk(first: int) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+    def chunk(first: int) -> tuple[I32, I8]:
         stop = min(first + _CHUNK, len(points))
         return _relative_neighbors(cells, places, facets, widest, first, stop, radius, float(reach))
 
@@ -63,7 +61,7 @@ def relative_neighbors(
     return np.concatenate([edges for edges, _ in found]), np.concatenate([turns for _, turns in found])
 
 
-def _facets(count: int) -> tuple[NDArray[np.float64], float]:
+def _facets(count: int) -> tuple[F64, float]:
     """Centers (f, 3) of 6 count^2 parts of the unit sphere, and the largest angle between a center and its part.
 
     The sides of a cube are cut at equal angles; each part is the spherical hull of its corners.
@@ -81,15 +79,8 @@ def _facets(count: int) -> tuple[NDArray[np.float64], float]:
 
 @jit
 def _relative_neighbors(
-    cells: Buckets,
-    places: NDArray[np.float64],
-    facets: NDArray[np.float64],
-    widest: float,
-    first: int,
-    stop: int,
-    start: float,
-    reach: float,
-) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+    cells: Buckets, places: F64, facets: F64, widest: float, first: int, stop: int, start: float, reach: float
+) -> tuple[I32, I8]:
     """Edges from the pores first <= i < stop to later ones, and their turns.
 
     `places` are the points by bucket; `facets` and `widest` are what `_facets` returns.
@@ -128,14 +119,7 @@ def _relative_neighbors(
 
 
 @jit
-def _pores_within(
-    cells: Buckets,
-    places: NDArray[np.float64],
-    i: int,
-    radius: float,
-    ball: NDArray[np.float64],
-    who: NDArray[np.int32],
-) -> int:
+def _pores_within(cells: Buckets, places: F64, i: int, radius: float, ball: F64, who: I32) -> int:
     """Write the pores at most `radius` away from i, and their images; returns how many there are, written or not."""
     low = np.empty(3, np.int64)
     high = np.empty(3, np.int64)
@@ -182,7 +166,7 @@ def _turns(index: int, count: int) -> int:
 
 
 @jit
-def _nearest_first(ball: NDArray[np.float64], who: NDArray[np.int32], count: int) -> None:
+def _nearest_first(ball: F64, who: I32, count: int) -> None:
     """Put the nearest pores first, sorted by distance; the order of the others is left open."""
     for c in range(1, count):
         d = c
@@ -197,7 +181,7 @@ def _nearest_first(ball: NDArray[np.float64], who: NDArray[np.int32], count: int
 
 
 @jit
-def _swap(ball: NDArray[np.float64], who: NDArray[np.int32], c: int, d: int) -> None:
+def _swap(ball: F64, who: I32, c: int, d: int) -> None:
     for a in range(4):
         ball[c, a], ball[d, a] = ball[d, a], ball[c, a]
         who[c, a], who[d, a] = who[d, a], who[c, a]
@@ -205,14 +189,7 @@ def _swap(ball: NDArray[np.float64], who: NDArray[np.int32], c: int, d: int) -> 
 
 @jit
 def _all_hidden(
-    cells: Buckets,
-    i: int,
-    radius: float,
-    ball: NDArray[np.float64],
-    count: int,
-    facets: NDArray[np.float64],
-    widest: float,
-    hiders: NDArray[np.float64],
+    cells: Buckets, i: int, radius: float, ball: F64, count: int, facets: F64, widest: float, hiders: F64
 ) -> bool:
     """True if for each place beyond the ball some pore in it is nearer to i and to the place than they are apart.
 
@@ -257,9 +234,7 @@ def _all_hidden(
 
 
 @jit
-def _add_pore(
-    hiders: NDArray[np.float64], most: int, ball: NDArray[np.float64], c: int, radius: float, cosine: float, sine: float
-) -> int:
+def _add_pore(hiders: F64, most: int, ball: F64, c: int, radius: float, cosine: float, sine: float) -> int:
     """Note what entry c of the ball hides; returns the new number of hiders."""
     distance = np.sqrt(ball[c, 3])
     if not 0 < distance < radius:
@@ -270,7 +245,7 @@ def _add_pore(
 
 
 @jit
-def _add_hider(hiders: NDArray[np.float64], most: int, least: float, cosine: float, sine: float) -> int:
+def _add_hider(hiders: F64, most: int, least: float, cosine: float, sine: float) -> int:
     """Note which facets are hidden if all directions with a component above `least` are; returns the new number.
 
     A facet whose center is at the angle t from the hider is if arccos(least) > t + widest; the margin covers rounding.
@@ -280,7 +255,7 @@ def _add_hider(hiders: NDArray[np.float64], most: int, least: float, cosine: flo
 
 
 @jit
-def _none_nearer(c: int, ball: NDArray[np.float64], count: int) -> bool:
+def _none_nearer(c: int, ball: F64, count: int) -> bool:
     """True if no pore of the ball is nearer to both ends of the step to entry c."""
     square = ball[c, 3]
     for d in range(count):

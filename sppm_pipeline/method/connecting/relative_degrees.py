@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.bridging import bridging_edges
@@ -13,6 +12,7 @@ from sppm_pipeline.method.connecting.buckets import sorted_into_buckets
 from sppm_pipeline.method.connecting.candidates import edges_of_keys, nearest_keys
 from sppm_pipeline.method.connecting.relative import relative_neighbors
 from sppm_pipeline.method.connecting.trees import edge_lengths, kruskal, nearest_turns, wrapped
+from sppm_pipeline.services.arrays import F64, I8, I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 REACH = 6.0
@@ -30,18 +30,13 @@ _NEAREST, _MAX_NEAREST = 10, 40
 class Network(NamedTuple):
     """Tunnels between pores that were moved into the periodic box."""
 
-    edges: NDArray[np.int32]  # (m, 2) pairs i < j
-    turns: NDArray[np.int8]  # (m, 3) periods by which the image of j is moved
+    edges: I32  # (m, 2) pairs i < j
+    turns: I8  # (m, 3) periods by which the image of j is moved
 
 
 def relative_neighbor_graph(
-    points: NDArray[np.float64],
-    period: NDArray[np.float64],
-    degree: tuple[int, int],
-    *,
-    reach: float = np.inf,
-    threads: int = 1,
-) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
+    points: F64, period: F64, degree: tuple[int, int], *, reach: float = np.inf, threads: int = 1
+) -> tuple[I32, I32, int]:
     """Connected graph of relative neighbors with degrees raised to A, and cut to B where a loop allows it.
 
     Edges longer than `reach` are made only where the graph would fall apart; `REACH` mean distances leave none out.
@@ -54,9 +49,7 @@ def relative_neighbor_graph(
     return *as_tunnels(points, period, network), over
 
 
-def shortest_tree(
-    points: NDArray[np.float64], period: NDArray[np.float64], *, reach: float = np.inf, threads: int = 1
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def shortest_tree(points: F64, period: F64, *, reach: float = np.inf, threads: int = 1) -> tuple[I32, I32]:
     """The Euclidean minimum spanning tree by Kruskal's algorithm on the relative neighbors, which contain it.
 
     Arguments, edges (n - 1, 2) and shifts as in `relative_neighbor_graph`.
@@ -65,12 +58,7 @@ def shortest_tree(
     return as_tunnels(points, period, tree_of(points, period, network))
 
 
-def tree_of(
-    points: NDArray[np.float64],
-    period: NDArray[np.float64],
-    network: Network,
-    metric: NDArray[np.float64] | None = None,
-) -> Network:
+def tree_of(points: F64, period: F64, network: Network, metric: F64 | None = None) -> Network:
     """The shortest tree among the edges of a connected network; of equally short ones the first are taken."""
     inside, _ = wrapped(points, period)
     period_of = period.astype(np.int64)
@@ -79,9 +67,7 @@ def tree_of(
     return Network(network.edges[taken], network.turns[taken])
 
 
-def connected_neighbors(
-    points: NDArray[np.float64], period: NDArray[np.float64], *, reach: float = np.inf, threads: int = 1
-) -> Network:
+def connected_neighbors(points: F64, period: F64, *, reach: float = np.inf, threads: int = 1) -> Network:
     """The relative neighborhood graph up to the length `reach`, and the longer edges that it needs.
 
     Together they contain the Euclidean minimum spanning tree: its edges up to that length are relative neighbors, and
@@ -97,9 +83,7 @@ def connected_neighbors(
     return Network(edges, turns)
 
 
-def cut_degrees(
-    points: NDArray[np.float64], period: NDArray[np.float64], network: Network, lower: int, upper: int
-) -> tuple[Network, int]:
+def cut_degrees(points: F64, period: F64, network: Network, lower: int, upper: int) -> tuple[Network, int]:
     """The network without the longest edges at pores that have more than `upper`, and how many still have.
 
     An edge goes if it lies on a loop, and if its other end keeps `lower` edges.
@@ -116,9 +100,7 @@ def cut_degrees(
     return Network(edges[kept], turns[kept]), int((degree > upper).sum())
 
 
-def raise_degrees(
-    points: NDArray[np.float64], period: NDArray[np.float64], network: Network, lower: int, upper: int
-) -> Network:
+def raise_degrees(points: F64, period: F64, network: Network, lower: int, upper: int) -> Network:
     """The network with the shortest edges from pores that have fewer than `lower` to pores near by that have room.
 
     Raises DesignError if there are no more such pores.
@@ -147,15 +129,13 @@ def raise_degrees(
     return Network(edges, turns)
 
 
-def _keys(edges: NDArray[np.int32], turns: NDArray[np.int8], n: int) -> NDArray[np.int64]:
+def _keys(edges: I32, turns: I8, n: int) -> I64:
     """Keys of edges as those of `nearest_keys`, (m,)."""
     code = 9 * turns[:, 0] + 3 * turns[:, 1] + turns[:, 2] + np.int8(13)
     return (edges[:, 0].astype(np.int64) * n + edges[:, 1]) * 27 + code
 
 
-def as_tunnels(
-    points: NDArray[np.float64], period: NDArray[np.float64], network: Network
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def as_tunnels(points: F64, period: F64, network: Network) -> tuple[I32, I32]:
     """Edges (m, 2), sorted by (i, j, shift), and shifts (m, 3) in whole cells between the points as they were given."""
     edges, turns = _sorted_by_pores(*network, len(points))
     shifts = turns.astype(np.int32)
@@ -168,7 +148,7 @@ def as_tunnels(
 
 
 @jit
-def degrees_of(n: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
+def degrees_of(n: int, edges: I32) -> I32:
     """Number of edges at each of n pores, (n,)."""
     degree = np.zeros(n, np.int32)
     for e in range(len(edges)):
@@ -178,7 +158,7 @@ def degrees_of(n: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 @jit
-def _touching(edges: NDArray[np.int32], marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _touching(edges: I32, marked: Bools) -> Bools:
     """Which edges end in a marked pore, (m,)."""
     found = np.empty(len(edges), np.bool_)
     for e in range(len(edges)):
@@ -187,7 +167,7 @@ def _touching(edges: NDArray[np.int32], marked: NDArray[np.bool_]) -> NDArray[np
 
 
 @jit
-def ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def ends_by_pore(edges: I32, degree: I32) -> tuple[I32, I64]:
     """Numbers ``2 e + side`` of the ends of edges by pore, (2 m,), and where those of each pore begin, (n + 1,)."""
     start = np.zeros(len(degree) + 1, np.int64)
     for i in range(len(degree)):
@@ -205,9 +185,7 @@ def ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[N
 
 
 @jit
-def _sorted_by_pores(
-    edges: NDArray[np.int32], turns: NDArray[np.int8], n: int
-) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+def _sorted_by_pores(edges: I32, turns: I8, n: int) -> tuple[I32, I8]:
     """The edges sorted by (i, j, turns): counted by i, and each put in its place among the few of its pore."""
     low = np.zeros(n + 1, np.int64)
     for e in range(len(edges)):
@@ -236,16 +214,7 @@ def _sorted_by_pores(
 
 
 @jit
-def _cut(
-    edges: NDArray[np.int32],
-    around: NDArray[np.int32],
-    start: NDArray[np.int64],
-    degree: NDArray[np.int32],
-    order: NDArray[np.int64],
-    lower: int,
-    upper: int,
-    detour: int,
-) -> NDArray[np.bool_]:
+def _cut(edges: I32, around: I32, start: I64, degree: I32, order: I64, lower: int, upper: int, detour: int) -> Bools:
     """Which edges are left, (m,); `degree` is brought up to date.
 
     ``around[start[v] : start[v + 1]] // 2`` are the edges at v.
@@ -282,9 +251,7 @@ def _cut(
 
 
 @jit
-def _raise(
-    edges: NDArray[np.int64], degree: NDArray[np.int32], order: NDArray[np.int64], lower: int, upper: int
-) -> NDArray[np.bool_]:
+def _raise(edges: I64, degree: I32, order: I64, lower: int, upper: int) -> Bools:
     """Which edges of the order are added; `degree` is brought up to date."""
     added = np.zeros(len(order), np.bool_)
     for s in range(len(order)):

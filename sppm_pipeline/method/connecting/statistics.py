@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.connecting.trees import Indices, as_points, bridge_mask, component_labels, edge_lengths
+from sppm_pipeline.services.arrays import I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 
@@ -20,7 +21,7 @@ class GraphStatistics(NamedTuple):
 
     pores: int  # n
     tunnels: int  # m
-    degree_histogram: NDArray[np.int64]  # (highest degree + 1,) number of pores with 0, 1, 2, ... tunnels
+    degree_histogram: I64  # (highest degree + 1,) number of pores with 0, 1, 2, ... tunnels
     mean_degree: float  # 2 m / n
     components: int  # connected parts; a pore without a tunnel is one
     loops: int  # independent loops, m - n + components
@@ -58,7 +59,7 @@ def wraps(n: int, edges: Indices, shifts: Indices) -> tuple[bool, bool, bool]:
 
 
 @jit
-def _wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _wraps(n: int, edges: I64, shifts: I64) -> Bools:
     parent = np.arange(n)
     # cell of the root's image minus the cell of the vertex, along the way to the parent
     offset = np.zeros((n, 3), np.int64)

@@ -11,12 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import lengths_in
 from sppm_pipeline.services.union_find import find_root, unite
 
 
-def as_points(points: ArrayLike) -> NDArray[np.float64]:
+def as_points(points: ArrayLike) -> F64:
     """The points as a C-contiguous (n, 3) float64 array; ValueError for another shape or infinite coordinates."""
     array = np.ascontiguousarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
@@ -33,7 +34,7 @@ Periodic = bool | Sequence[float]
 """True if all axes repeat with period 1, else the period of each in whole cells, 0 for none."""
 
 
-def periods(periodic: Periodic) -> NDArray[np.float64]:
+def periods(periodic: Periodic) -> F64:
     """Whole cells after which x, y, z repeat, (3,) float64, 0 for never; ValueError if one is no whole number."""
     period = np.asarray(periodic, dtype=np.float64)
     if period.shape not in ((), (3,)) or (period < 0).any() or (period != np.rint(period)).any():
@@ -49,7 +50,7 @@ def images_per_pair(periodic: Periodic) -> int:
     return int(2 ** np.count_nonzero(periods(periodic)))
 
 
-def wrapped(points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def wrapped(points: F64, period: F64) -> tuple[F64, I64]:
     """Points moved into [0, period) along the periodic axes, and the whole cells (n, 3) that were taken off.
 
     The points themselves are returned if they all lie there, and are not modified.
@@ -65,7 +66,7 @@ def wrapped(points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[N
     return inside, cells
 
 
-def canonical_edges(edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def canonical_edges(edges: I64, shifts: I64) -> tuple[I64, I64]:
     """Each edge with i < j, sorted by (i, j, shift), without duplicates.
 
     Turning an edge round changes the sign of its shift: i -> j + s is the same tunnel as j -> i - s.
@@ -81,28 +82,22 @@ def canonical_edges(edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tupl
     return np.ascontiguousarray(rows[:, :2]), np.ascontiguousarray(rows[:, 2:])
 
 
-def segments(
-    points: NDArray[np.float64], edges: Indices, shifts: Indices
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def segments(points: F64, edges: Indices, shifts: Indices) -> tuple[F64, F64]:
     """Start ``points[i]`` and end ``points[j] + shift`` of every edge, each (m, 3)."""
     return points[edges[:, 0]], points[edges[:, 1]] + shifts
 
 
-def edge_lengths(
-    points: NDArray[np.float64], edges: Indices, shifts: Indices, metric: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+def edge_lengths(points: F64, edges: Indices, shifts: Indices, metric: F64 | None = None) -> F64:
     """Length of every tunnel, (m,); in the mean of the metrics (n, 6) of its ends, if there are any."""
     starts, ends = segments(points, edges, shifts)
     steps = ends - starts
     if metric is not None:
         return lengths_in((metric[edges[:, 0]] + metric[edges[:, 1]]) / 2, steps)
-    lengths: NDArray[np.float64] = np.sqrt(steps[:, 0] ** 2 + steps[:, 1] ** 2 + steps[:, 2] ** 2)
+    lengths: F64 = np.sqrt(steps[:, 0] ** 2 + steps[:, 1] ** 2 + steps[:, 2] ** 2)
     return lengths
 
 
-def minimum_spanning_tree(
-    points: ArrayLike, *, periodic: Periodic = False
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def minimum_spanning_tree(points: ArrayLike, *, periodic: Periodic = False) -> tuple[I64, I64]:
     """The exact Euclidean minimum spanning tree, with every pore at its nearest image on the periodic axes.
 
     Prim's algorithm over all pairs, O(n^2) time and O(n) memory: a nearest-neighbor graph may miss an edge of the tree,
@@ -118,21 +113,19 @@ def minimum_spanning_tree(
     return canonical_edges(edges, nearest_shifts(inside, cells, period, edges))
 
 
-def nearest_shifts(
-    inside: NDArray[np.float64], cells: NDArray[np.int64], period: NDArray[np.float64], edges: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def nearest_shifts(inside: F64, cells: I64, period: F64, edges: I64) -> I64:
     """Shifts (m, 3) of the edges to the nearest image, from what `wrapped` returned."""
     i, j = edges[:, 0], edges[:, 1]
     return nearest_turns(inside[j] - inside[i], period).astype(np.int64) + cells[i] - cells[j]
 
 
-def nearest_turns(steps: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_turns(steps: F64, period: F64) -> F64:
     """Whole cells that turn steps (..., 3) between pores into those to the nearest image."""
     return -np.rint(steps / np.where(period > 0, period, np.inf)) * period
 
 
 @jit
-def squared_distance(inside: NDArray[np.float64], period: NDArray[np.float64], i: int, j: int) -> float:
+def squared_distance(inside: F64, period: F64, i: int, j: int) -> float:
     """Squared distance of i from the nearest image of j."""
     total = 0.0
     for a in range(3):
@@ -144,7 +137,7 @@ def squared_distance(inside: NDArray[np.float64], period: NDArray[np.float64], i
 
 
 @jit
-def _prim(inside: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[np.int64]:
+def _prim(inside: F64, period: F64) -> I64:
     n = inside.shape[0]
     best = np.full(n, np.inf)
     parent = np.zeros(n, np.int64)
@@ -170,7 +163,7 @@ def _prim(inside: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[n
 
 
 @jit
-def kruskal(n: int, edges: Indices, order: NDArray[np.int64]) -> NDArray[np.int64]:
+def kruskal(n: int, edges: Indices, order: I64) -> I64:
     """Indices of the edges that join two components when the edges are taken in the given order, in that order."""
     parent = np.arange(n)
     taken = np.empty(max(n - 1, 0), np.int64)
@@ -186,7 +179,7 @@ def kruskal(n: int, edges: Indices, order: NDArray[np.int64]) -> NDArray[np.int6
 
 
 @jit
-def component_labels(n: int, edges: Indices) -> NDArray[np.int64]:
+def component_labels(n: int, edges: Indices) -> I64:
     """Component of every vertex, (n,) int64, numbered 0, 1, ... in the order of their lowest vertex."""
     parent = np.arange(n)
     for e in range(edges.shape[0]):
@@ -203,7 +196,7 @@ def component_labels(n: int, edges: Indices) -> NDArray[np.int64]:
     return labels
 
 
-def bridge_mask(n: int, edges: Indices) -> NDArray[np.bool_]:
+def bridge_mask(n: int, edges: Indices) -> Bools:
     """Which edges (m, 2) are bridges, (m,) bool; parallel edges are none, as each stands in for the other."""
     degree = np.bincount(edges.ravel(), minlength=n).astype(np.int64)
     node = np.zeros((n + 1, 1 + int(degree.max(initial=0))), dtype=np.int64)
@@ -218,9 +211,7 @@ def bridge_mask(n: int, edges: Indices) -> NDArray[np.bool_]:
 
 
 @jit
-def mark_bridges(
-    edges: NDArray[np.int64], node: NDArray[np.int64], slots: int, mask: NDArray[np.bool_]
-) -> tuple[int, bool]:
+def mark_bridges(edges: I64, node: I64, slots: int, mask: Bools) -> tuple[int, bool]:
     """Set `mask` at every bridge; returns the number of bridges and whether the graph is connected.
 
     ``node[v, 0]`` is the degree of v, its edges stand from column `slots` on; the last row of `node` belongs to no

@@ -10,24 +10,25 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F64, I64, Bools
 
 
 class Lattice(NamedTuple):
     """Pores sorted by the blocks of a lattice; block (x, y, z) fills [x, x + 1] x [y, y + 1] x [z, z + 1]."""
 
-    points: NDArray[np.float64]  # (n, 3) in edges of a block
-    first: NDArray[np.int64]  # (blocks + 1,) where the pores of each block begin
+    points: F64  # (n, 3) in edges of a block
+    first: I64  # (blocks + 1,) where the pores of each block begin
     shape: tuple[int, int, int]  # blocks along x, y and z
-    period: NDArray[np.float64]  # (3,) `shape` along axes that repeat, else 0
+    period: F64  # (3,) `shape` along axes that repeat, else 0
 
 
 class Window(NamedTuple):
     """Pores of a window and of its margin."""
 
-    pores: NDArray[np.int64]  # (n,) by block and index; a pore may occur several times, as different images
-    turns: NDArray[np.int64]  # (n, 3) whole cells from each pore to its image here
-    own: NDArray[np.bool_]  # (n,) in a block of the window, not in the margin
+    pores: I64  # (n,) by block and index; a pore may occur several times, as different images
+    turns: I64  # (n, 3) whole cells from each pore to its image here
+    own: Bools  # (n,) in a block of the window, not in the margin
 
 
 def window_edge(spacing: float, most: int, margin: float) -> int:
@@ -38,7 +39,7 @@ def window_edge(spacing: float, most: int, margin: float) -> int:
     return max(1, int(most ** (1 / 3) * spacing - 2 * margin))
 
 
-def window_corners(shape: tuple[int, int, int], edge: int) -> Iterator[NDArray[np.int64]]:
+def window_corners(shape: tuple[int, int, int], edge: int) -> Iterator[I64]:
     """Low and high block (2, 3) of each window, in C order."""
     cuts = [np.minimum(np.arange(0, size + edge, edge), size) for size in shape]
     for i in range(len(cuts[0]) - 1):
@@ -47,7 +48,7 @@ def window_corners(shape: tuple[int, int, int], edge: int) -> Iterator[NDArray[n
                 yield np.array([[c[m], c[m + 1]] for c, m in zip(cuts, (i, j, k), strict=True)]).T
 
 
-def window(lattice: Lattice, corners: NDArray[np.int64], margin: float) -> Window:
+def window(lattice: Lattice, corners: I64, margin: float) -> Window:
     """The pores of the blocks between two corners, and those at most `margin` away from that box along any axis."""
     shape = np.array(lattice.shape)
     period = lattice.period.astype(np.int64)
@@ -68,9 +69,7 @@ def window(lattice: Lattice, corners: NDArray[np.int64], margin: float) -> Windo
     return Window(pores[near], turns[near], own[near])
 
 
-def edges_of_window(
-    found: Window, edges: NDArray[np.int64], shifts: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def edges_of_window(found: Window, edges: I64, shifts: I64) -> tuple[I64, I64]:
     """The edges among pores of a window with margin that belong to the window: those whose lower pore is its own.
 
     Windows that overlap by their margins thus report each edge once. Edges between images of one pore are dropped.

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbor_reach
 from sppm_pipeline.services.arrays import I32, I64, U8, Bools
@@ -35,10 +34,10 @@ class Components(NamedTuple):
     """
 
     runs: Runs
-    of_run: NDArray[np.int32]
-    sizes: NDArray[np.int64]
-    wraps: NDArray[np.bool_]
-    faces: NDArray[np.bool_]
+    of_run: I32
+    sizes: I64
+    wraps: Bools
+    faces: Bools
 
 
 def find_components(

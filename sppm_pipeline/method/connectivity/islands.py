@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.components import find_components
 from sppm_pipeline.services.arrays import F32, I32, I64, U8, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
-Mask = TypeVar("Mask", NDArray[np.bool_], NDArray[np.uint8])
+Mask = TypeVar("Mask", Bools, U8)
 
 
 class LooseParts(NamedTuple):

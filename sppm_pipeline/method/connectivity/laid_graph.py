@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import TilingArrays, connector_code
+from sppm_pipeline.services.arrays import I32, I64
 
 
 def parts_of_layout(
@@ -28,11 +29,9 @@ def parts_of_layout(
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    def components(
-        nodes: int, first: NDArray[np.integer], second: NDArray[np.integer]
-    ) -> tuple[int, NDArray[np.int32]]:
+    def components(nodes: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> tuple[int, I32]:
         links = coo_array((np.ones(len(first), np.int8), (first, second)), (nodes, nodes))
-        found: tuple[int, NDArray[np.int32]] = connected_components(links, directed=False)
+        found: tuple[int, I32] = connected_components(links, directed=False)
         return found
 
     first, second = (edges[:, end].astype(np.int64) for end in range(2))
@@ -65,7 +64,7 @@ def parts_of_layout(
     )
     joins = np.unique(np.column_stack([codes, local[first[crossing]], local[second[crossing]]]), axis=0)
     known, begins = np.unique(joins[:, 0], return_index=True)
-    at: NDArray[np.int64] = np.concatenate([begins, [len(joins)]])
+    at: I64 = np.concatenate([begins, [len(joins)]])
     cells = np.argwhere(tiling.interior >= 0)
     number = np.asarray(np.ravel_multi_index(tuple(cells.T), tiling.interior.shape))
     # each face of each cell: the connectors that its interior has to a face of that color
@@ -93,7 +92,7 @@ def parts_of_layout(
     return components(int(node[-1]), pairs[:, 0], pairs[:, 1])[0]
 
 
-def _counted(times: NDArray[np.int64]) -> NDArray[np.int64]:
+def _counted(times: I64) -> I64:
     """0, 1, ... for each entry in turn."""
     ends = np.cumsum(times)
     return np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - times, times)

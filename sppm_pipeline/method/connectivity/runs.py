@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, I64, U8, U64, Bools
 from sppm_pipeline.services.bit_rows import bit_index, pack, set_bits
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import unite
@@ -35,8 +35,8 @@ class Runs(NamedTuple):
     """
 
     shape: tuple[int, int, int]
-    rows: NDArray[np.int64]
-    bounds: NDArray[np.int32]
+    rows: I64
+    bounds: I32
 
     @property
     def n_runs(self) -> int:
@@ -44,12 +44,12 @@ class Runs(NamedTuple):
         return self.bounds.size // 2
 
     @property
-    def lengths(self) -> NDArray[np.int32]:
+    def lengths(self) -> I32:
         """Voxels in each run, (n,)."""
         return self.bounds[1::2] - self.bounds[::2]
 
 
-def as_bytes(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+def as_bytes(mask: Bools | U8) -> U8:
     """A (nz, ny, nx) mask of bool or uint8 as contiguous bytes, without a copy where that is possible."""
     if mask.ndim != 3 or mask.dtype not in (np.dtype(np.bool_), np.dtype(np.uint8)):
         raise ValueError(f"a mask is (nz, ny, nx) of bool or uint8, not {mask.shape} of {mask.dtype}")
@@ -63,12 +63,12 @@ def neighbor_reach(connectivity: int) -> int:
     return 0 if connectivity == 6 else 1
 
 
-def find_runs(mask: NDArray[np.uint8], zeros: bool = False) -> Runs:
+def find_runs(mask: U8, zeros: bool = False) -> Runs:
     """Runs of voxels of a mask (nz, ny, nx) that are not 0, or with `zeros` of those that are."""
     return runs_of_bits(pack(mask), mask.shape[2], zeros)
 
 
-def runs_of_bits(bits: NDArray[np.uint64], nx: int, zeros: bool = False) -> Runs:
+def runs_of_bits(bits: U64, nx: int, zeros: bool = False) -> Runs:
     """The runs of a mask (nz, ny, words), nx voxels in a row, see `services.bit_rows`; `zeros` as in `find_runs`."""
     nz, ny, words = bits.shape
     rows = np.empty(nz * ny + 1, np.int64)
@@ -89,7 +89,7 @@ def stack_runs(slabs: Sequence[Runs]) -> Runs:
 
 
 @jit
-def _count_runs(bits: NDArray[np.uint64], nx: int, flip: np.uint64, rows: NDArray[np.int64]) -> int:
+def _count_runs(bits: U64, nx: int, flip: np.uint64, rows: I64) -> int:
     """Write where the runs of each row begin, and return how many there are."""
     n_words = bits.shape[1]
     end = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 * n_words - nx)
@@ -109,9 +109,7 @@ def _count_runs(bits: NDArray[np.uint64], nx: int, flip: np.uint64, rows: NDArra
 
 
 @jit
-def _find_runs(
-    bits: NDArray[np.uint64], nx: int, flip: np.uint64, rows: NDArray[np.int64], bounds: NDArray[np.int32]
-) -> None:
+def _find_runs(bits: U64, nx: int, flip: np.uint64, rows: I64, bounds: I32) -> None:
     n_words = bits.shape[1]
     end = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 * n_words - nx)
     for y in range(bits.shape[0]):
@@ -134,9 +132,7 @@ def _find_runs(
 
 
 @jit
-def join_rows(
-    bounds: NDArray[np.int32], a: int, a_stop: int, b: int, b_stop: int, reach: int, parent: NDArray[np.int32]
-) -> None:
+def join_rows(bounds: I32, a: int, a_stop: int, b: int, b_stop: int, reach: int, parent: I32) -> None:
     """Unite the touching runs of two neighboring rows, a <= r < a_stop and b <= r < b_stop."""
     while a < a_stop and b < b_stop:
         if bounds[2 * a + 1] + reach <= bounds[2 * b]:

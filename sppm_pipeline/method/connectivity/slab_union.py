@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.runs import neighbor_reach
 from sppm_pipeline.method.connectivity.streaming import resolve
@@ -31,9 +30,9 @@ class SlabUnion:
         self._reach = neighbor_reach(connectivity)
         self._layers = 0
         self._starts = [0]
-        self._components: list[NDArray[np.int32]] = []
-        self._voxels: list[NDArray[np.int64]] = []
-        self._boxes: list[NDArray[np.int32]] = []
+        self._components: list[I32] = []
+        self._voxels: list[I64] = []
+        self._boxes: list[I32] = []
         self._parent = np.zeros(1024, dtype=np.int32)
         self._below: SlabLabels | None = None
 

@@ -30,6 +30,7 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.method.connectivity.layer_ids import clear_runs, layer_ids, list_loose, set_runs, still_loose
 from sppm_pipeline.method.connectivity.runs import Runs, neighbor_reach, runs_of_bits
 from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+from sppm_pipeline.services.arrays import I32, I64, U64, Bools
 from sppm_pipeline.services.bit_rows import count
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import find_root
@@ -47,7 +48,7 @@ class _Loose(NamedTuple):
 
     voxels: int  # how many are set, so that another layer is noticed
     main: int  # an id of the component that was the largest when the layer was seen; -1 if the layer is empty
-    runs: NDArray[np.int32]  # (n, 4): row, first voxel, the one after the last, and id of each run of another component
+    runs: I32  # (n, 4): row, first voxel, the one after the last, and id of each run of another component
 
 
 class IslandFilter:
@@ -65,14 +66,14 @@ class IslandFilter:
         self._voxels = np.zeros(1024, dtype=np.int64)
         # x low, x high, y low, y high, z low, z high; the highs are inclusive
         self._boxes = np.zeros((1024, 6), dtype=np.int32)
-        self._verdict: NDArray[np.bool_] | None = None
+        self._verdict: Bools | None = None
         self._remembered: deque[_Loose] | None = deque()  # emptied by the second pass
         self._written, self._next_look = 0, _PRUNED_FROM
         self._rewind()
         self._first, self._ids_first = self._below, self._ids_below
 
     @classmethod
-    def decided(cls, ny: int, nx: int, layers: int, verdict: NDArray[np.bool_], connectivity: int = 6) -> IslandFilter:
+    def decided(cls, ny: int, nx: int, layers: int, verdict: Bools, connectivity: int = 6) -> IslandFilter:
         """The filter of a slab whose second pass begins; `verdict` says of each of its ids whether it stays."""
         islands = cls(ny, nx, connectivity)
         islands._layers, islands._verdict, islands._remembered = layers, verdict, None
@@ -86,7 +87,7 @@ class IslandFilter:
         self._n_ids = 0
         self._z = 0
 
-    def _advance(self, layer: NDArray[np.uint64], counting: bool) -> Runs:
+    def _advance(self, layer: U64, counting: bool) -> Runs:
         """Find the runs of the next layer (1, ny, words) and their ids; count their voxels in the first pass."""
         # runs, not voxels: far fewer, and as quick to join
         runs = runs_of_bits(layer, self._shape[1])
@@ -116,7 +117,7 @@ class IslandFilter:
         self._z += 1
         return runs
 
-    def observe(self, slab: NDArray[np.uint64]) -> int:
+    def observe(self, slab: U64) -> int:
         """First pass: take in the next layers, bits (nz, ny, words) as in `services.bit_rows`; how many are set."""
         if self._verdict is not None:
             raise ValueError("observe comes before finish")
@@ -207,7 +208,7 @@ class IslandFilter:
         self._rewind()
         self._first, self._ids_first = self._below, self._ids_below
 
-    def clear(self, slab: NDArray[np.uint64]) -> None:
+    def clear(self, slab: U64) -> None:
         """Second pass: take the islands out of the next layers, bits (nz, ny, words); in place.
 
         An InputError says that the layers are not those of the first pass, as far as that shows.
@@ -254,7 +255,7 @@ def _other_layer(z: int) -> InputError:
 
 
 @jit
-def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
+def resolve(parent: I32, voxels: I64, boxes: I32) -> None:
     """Point every id at its root and gather counts and bounding boxes there."""
     # in ascending order the parent of a parent is a root already
     for i in range(parent.size):

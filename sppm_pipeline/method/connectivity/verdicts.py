@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.runs import Runs
 from sppm_pipeline.services.arrays import I32, I64, Bools
@@ -28,14 +27,14 @@ class SlabLabels(NamedTuple):
     """Components of a slab labeled by itself, from the first pass, in the order of their first voxels (z slowest)."""
 
     layers: int
-    component: NDArray[np.int32]  # (n_ids,), of each id
-    voxels: NDArray[np.int64]  # (n,), of each component
+    component: I32  # (n_ids,), of each id
+    voxels: I64  # (n,), of each component
     # (n, 6): x low, x high, y ..., z high; the highs are inclusive, z counts from the first layer
-    boxes: NDArray[np.int32]
+    boxes: I32
     first: Runs  # runs of the first layer, and their components
-    of_first: NDArray[np.int32]
+    of_first: I32
     last: Runs  # likewise of the last layer
-    of_last: NDArray[np.int32]
+    of_last: I32
 
 
 def decide(

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.nouns.length import Cell, Length
+from sppm_pipeline.services.arrays import F64, I64
 
 
 class Piece(NamedTuple):
@@ -27,7 +27,7 @@ class Piece(NamedTuple):
         Whether the number of pores between faces follows a map, and may be too small for the bounds of a degree.
     """
 
-    points: NDArray[np.float64]
+    points: F64
     periodic: bool
     region: str
     cell: Cell
@@ -65,15 +65,15 @@ class Cloud(NamedTuple):
         connectors that follow them are given any.
     """
 
-    points: NDArray[np.float64]
-    first: NDArray[np.int64]
+    points: F64
+    first: I64
     lattice: tuple[int, int, int]
     periodic: tuple[bool, bool, bool]
     cell: Cell
-    metric: NDArray[np.float64] | None = None
+    metric: F64 | None = None
 
     @property
-    def period(self) -> NDArray[np.float64]:
+    def period(self) -> F64:
         """Whole cells after which each axis repeats, (3,) float64; 0 for never."""
         return np.where(self.periodic, self.lattice, 0).astype(np.float64)
 

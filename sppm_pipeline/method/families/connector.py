@@ -17,6 +17,7 @@ from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.stage import Context, Stage
 
 WINDOW_PORES = 3000
@@ -45,7 +46,7 @@ class Connector(Stage):
     follows_metric: ClassVar[bool] = False
 
     @abstractmethod
-    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
         """Join the pores of one piece.
 
         Returns
@@ -87,7 +88,7 @@ class Connector(Stage):
         context.report(bridging_tunnels=len(bridges))
         return canonical_edges(np.concatenate([edges, bridges]), np.concatenate([shifts, turns]))
 
-    def _edges_of_windows(self, context: Context, cloud: Cloud) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    def _edges_of_windows(self, context: Context, cloud: Cloud) -> list[tuple[I64, I64]]:
         """Edges and shifts of each window of the cloud, by calls of `join`."""
         from sppm_pipeline.method.connecting.windows import (
             Lattice,
@@ -119,7 +120,7 @@ class Connector(Stage):
             context.progress(number + 1, len(boxes), "windows joined")
         return found
 
-    def _joined(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _joined(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
         """Checked result of `join` for a piece of a cloud."""
         if len(piece.points) < 2:
             return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
@@ -130,13 +131,11 @@ class Connector(Stage):
             raise ValueError(f"{self.name}.join names a pore that is not in its piece")
         return edges, shifts
 
-    def connect(
-        self, face_points: NDArray[np.float64], interior_points: NDArray[np.float64], cell: Cell
-    ) -> NDArray[np.int64]:
+    def connect(self, face_points: F64, interior_points: F64, cell: Cell) -> I64:
         """For each face pore the interior pore that its connector leads to, (f,) int64: the nearest."""
         d = ((face_points[:, None, :] - interior_points[None, :, :]) ** 2).sum(-1)
         # of equally near ones the first: the same on every machine
-        nearest: NDArray[np.int64] = np.argmin(d, axis=1).astype(np.int64)
+        nearest: I64 = np.argmin(d, axis=1).astype(np.int64)
         return nearest
 
     def edges_of_a_pore(self) -> float:
@@ -183,7 +182,7 @@ class Connector(Stage):
                 context.progress(piece + 1, pieces, "pieces joined")
         return np.concatenate(edges), np.concatenate(shifts)
 
-    def join_piece(self, context: Context, pores: PoreSet, piece: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join_piece(self, context: Context, pores: PoreSet, piece: int) -> tuple[I64, I64]:
         """Result of `join` for one piece, as indices into ``pores.centers``."""
         index, region = pores.indices(piece), "interior" if piece < pores.interiors else "face"
         graded = context.palette.totals is not None and pores.has_faces and region == "interior"

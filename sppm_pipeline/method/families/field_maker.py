@@ -14,6 +14,7 @@ from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.stage import Context, Stage
 
 
@@ -27,7 +28,7 @@ class Formula(Stage):
 
     edge: Length | None = options.edge(None)
 
-    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+    def evaluate(self, x: F64, y: F64, z: F64) -> NDArray[np.floating]:
         """Values, negative in the solid, at the points of three axes: x (nx, 1, 1), y (ny, 1), z (nz,).
 
         Positions are in cell sizes: 0 <= x, y, z < 1 in a periodic cell, else from the low corner of the part. The
@@ -120,7 +121,7 @@ class MadeField(FormulaField):
     maker: Formula
     offset: float = 0.0
 
-    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+    def evaluate(self, x: F64, y: F64, z: F64) -> NDArray[np.floating]:
         values = self.maker.evaluate(x, y, z)
         # a float64 scalar promotes float32 values, so that the difference keeps its digits
         return values - np.float64(self.offset) if self.offset else values

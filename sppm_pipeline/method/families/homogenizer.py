@@ -17,6 +17,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.arrays import F32, F64, U8
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -43,8 +44,8 @@ class VoxelCell(NamedTuple):
         Of a voxel.
     """
 
-    phase: NDArray[np.uint8] | None
-    fraction: NDArray[np.float32] | None
+    phase: U8 | None
+    fraction: F32 | None
     edges: tuple[float, float, float]
 
     @property
@@ -64,7 +65,7 @@ class VoxelCell(NamedTuple):
         # float32 sums of millions of voxels would lose digits
         return 1 - float(self.fraction.mean(dtype=np.float64))
 
-    def occupied(self) -> NDArray[np.uint8]:
+    def occupied(self) -> U8:
         """1 where there is any solid."""
         given = self.phase if self.phase is not None else self.fraction
         assert given is not None
@@ -146,7 +147,7 @@ def refined(
     source: ScalarField | Voxels,
     counts: list[int],
     solve: Callable[[Context, int, ScalarField | Voxels], Report],
-    values: Callable[[Report], NDArray[np.float64]],
+    values: Callable[[Report], F64],
     assumed: float = 2.0,
 ) -> tuple[list[int], list[Report], Limit]:
     """Voxels along an edge and report of each grid of a refinement, and the limit of fine grids extrapolated.

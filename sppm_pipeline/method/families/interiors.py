@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.services.arrays import F64, I64
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.sampling.many import Surrounding
@@ -49,14 +49,14 @@ class InteriorBox(NamedTuple):
         share of the cells of this interior they stand.
     """
 
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    lower: F64
+    upper: F64
     periodic: bool
-    obstacles: NDArray[np.float64]
+    obstacles: F64
     cell: Cell
     spacing: float | None
     face_pores: int
-    folded: NDArray[np.float64] = np.zeros((0, 4))
+    folded: F64 = np.zeros((0, 4))
 
 
 class Meetings:
@@ -80,7 +80,7 @@ class Meetings:
             everywhere = np.where(normal > 0, shifts >= 0, True).all(-1)
             self._all = (low + shifts)[everywhere]
 
-    def folded(self, interior: int) -> NDArray[np.float64]:
+    def folded(self, interior: int) -> F64:
         """Pores of one cell, each once, with the share of the interior's cells that they stand in, (m, 4).
 
         Each side of an axis counts half, and all face patterns that an interior may meet there count alike.
@@ -100,11 +100,11 @@ class Meetings:
                 parts.append(np.column_stack([pattern, np.full(len(pattern), 1 / met[axis])]))
         return np.concatenate(parts)
 
-    def _rows_of(self, interior: int) -> NDArray[np.int64]:
+    def _rows_of(self, interior: int) -> I64:
         assert self._rows is not None
         return self._rows[self._first[interior] : self._first[interior + 1]]
 
-    def pores_around(self, interior: int) -> NDArray[np.float64]:
+    def pores_around(self, interior: int) -> F64:
         """Face pores around one interior, in the coordinates of its cell, (k, 3)."""
         if self._rows is None:
             return self._all
@@ -155,7 +155,7 @@ class Interiors:
             cell=pores.cell, spacing=self.spacing, face_pores=self.face_pores, folded=self._meetings.folded(interior),
         )  # fmt: skip
 
-    def surrounding(self) -> tuple[Surrounding, NDArray[np.float64]]:
+    def surrounding(self) -> tuple[Surrounding, F64]:
         """The obstacles of all boxes, if there are faces: those of each, and those of all, (k, 3)."""
         from sppm_pipeline.method.sampling.many import Surrounding
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.services.arrays import F64
 
 MAX_CHANGE = 0.1
 """Change of a radius, as a fraction, that triggers a warning; a factor of two changes only who is warned."""
@@ -77,5 +77,5 @@ def radius_warning(micro: Microstructure, asked: Radii) -> str | None:
     )
 
 
-def _geometric_mean(parameters: NDArray[np.float64]) -> float:
+def _geometric_mean(parameters: F64) -> float:
     return float(np.exp(np.log(parameters).mean())) if len(parameters) else 0.0

@@ -10,7 +10,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.removal import removal_warning
 from sppm_pipeline.method.families.slab_writer import DividedLayers, divides, encoded_bits, image_of
@@ -18,6 +17,7 @@ from sppm_pipeline.method.slicing.sampled_slices import SampledSlices
 from sppm_pipeline.method.slicing.slice_stack import Slabs, SliceStack
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.arrays import U8, U64
 from sppm_pipeline.services.threads import ordered_map
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
@@ -29,7 +29,7 @@ class LayerObserver(Protocol):
     layers, others need not travel then.
     """
 
-    def add(self, number: int, image: NDArray[np.uint8]) -> None:
+    def add(self, number: int, image: U8) -> None:
         """Take in a layer, as `LayerWriter.encode` takes it; called once for each, the lowest first, in one thread."""
 
 
@@ -111,7 +111,7 @@ class LayerWriter(Stage):
         return replace(stack, triangles=0.0, pixels=stack.pixels * self.sheet)
 
     @abstractmethod
-    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
+    def encode(self, image: U8, stack: SliceStack) -> bytes:
         """One layer as bytes; called by several threads at once.
 
         Parameters
@@ -127,7 +127,7 @@ class LayerWriter(Stage):
         """True if layers of black and white are passed to `encode_bits` where they are there as bits."""
         return False
 
-    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+    def encode_bits(self, rows: U64, stack: SliceStack) -> bytes:
         """`encode` for a layer of bits: the same bytes, from an eighth of the memory; see `takes_bits`.
 
         Parameters
@@ -190,16 +190,16 @@ class LayerWriter(Stage):
         """Evaluate, encode and store layer after layer."""
         nz, threads = stack.shape[2], context.threads
         shown = set(np.linspace(0, nz - 1, self.sheet + 2).round().astype(int)[1:-1].tolist()) if self.sheet else set()
-        overview: list[NDArray[np.uint8]] = []
+        overview: list[U8] = []
         observer = self.observer(stack)
 
-        def show(number: int, image: NDArray[np.uint8]) -> None:
+        def show(number: int, image: U8) -> None:
             if observer is not None:
                 observer.add(number, image)
             if number in shown:
                 overview.append(image)
 
-        def sheets() -> Iterator[NDArray[np.uint64]]:
+        def sheets() -> Iterator[U64]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
                     # row 0 of a layer that is written is the side of largest y
@@ -209,7 +209,7 @@ class LayerWriter(Stage):
                     yield rows
                 context.progress(min(start + len(slab), nz), nz, "layers")
 
-        def images() -> Iterator[NDArray[np.uint8]]:
+        def images() -> Iterator[U8]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
                     image = layer[::-1].copy()  # the stack may reuse its slab

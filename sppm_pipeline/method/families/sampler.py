@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
@@ -17,6 +16,7 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.nouns.palette import Blocks, Palette
 from sppm_pipeline.nouns.size import CellDesign, Size
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -55,7 +55,7 @@ class Sampler(Stage):
     )
 
     @abstractmethod
-    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> F64:
         """Pores of one interior, (n, 3) float64 in cell sizes."""
 
     def requested_spacing(self, cell: Cell) -> float | None:
@@ -114,7 +114,7 @@ class Sampler(Stage):
             kept *= min(1.0, float(context.palette.spacings.min()))
         return base.extended(centers, piece, spacing=kept)
 
-    def throw_all(self, context: Context, interiors: Interiors) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def throw_all(self, context: Context, interiors: Interiors) -> tuple[F64, I64]:
         """Throw the pores of all interiors by `throw`; for samplers with a faster way for many of them.
 
         Returns
@@ -163,7 +163,7 @@ class Sampler(Stage):
         """Throw the pores of all blocks of a lattice without faces, block by block; for samplers with a faster way."""
         return block_by_block(context, self, base, blocks)
 
-    def thrown(self, context: Context, interior: int, box: InteriorBox) -> NDArray[np.float64]:
+    def thrown(self, context: Context, interior: int, box: InteriorBox) -> F64:
         """Checked result of `throw` for an interior."""
         made: Any = self.throw(context.rng(*context.palette.key(interior)), box)
         if made is None:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families.cloud import Cloud
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.stage import Context
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     spacing = sampler.requested_spacing(base.cell) or base.spacing
     sites, numbers = blocks.sites, blocks.numbers
     thrown = [base.of_piece(t) for t in range(base.interiors)]
-    new: list[NDArray[np.float64]] = [np.zeros((0, 3))] * base.interiors
+    new: list[F64] = [np.zeros((0, 3))] * base.interiors
     shifts = [np.array(step) for step in itertools.product((-1, 0, 1), repeat=3)]
     # the order of colors is that of the compiled way, so that a block waits for few others
     colors = block_colors(blocks.shape, blocks.periodic)[tuple(sites.T)]
@@ -157,7 +157,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     return _extended(base, blocks, np.concatenate(new), counts, sampler.kept_spacing(base.cell, base))
 
 
-def _kept_and_more(base: PoreSet, blocks: Blocks, mean: float) -> tuple[PoreSet, NDArray[np.int64]]:
+def _kept_and_more(base: PoreSet, blocks: Blocks, mean: float) -> tuple[PoreSet, I64]:
     """Pores thrown before, those that are kept among them, and how many more each interior gets.
 
     Raises ConfigError if graded blocks have pores of another sampler.
@@ -175,9 +175,7 @@ def _kept_and_more(base: PoreSet, blocks: Blocks, mean: float) -> tuple[PoreSet,
     return base, block_quotas(blocks.mask, mean, blocks.density)[blocks.mask]
 
 
-def _extended(
-    base: PoreSet, blocks: Blocks, centers: NDArray[np.float64], counts: NDArray[np.int64], spacing: float | None
-) -> PoreSet:
+def _extended(base: PoreSet, blocks: Blocks, centers: F64, counts: I64, spacing: float | None) -> PoreSet:
     """The pores of before and the new ones, `counts` in each interior, sorted by block."""
     piece = np.repeat(np.arange(base.interiors, dtype=np.int32), counts)
     if len(base.centers):
@@ -189,7 +187,7 @@ def _extended(
     return replace(base, centers=centers, piece=piece, spacing=spacing, colors=(0, 0, 0), blocks=blocks)
 
 
-def _first_of_blocks(piece: NDArray[np.int32], blocks: Blocks) -> NDArray[np.int64]:
+def _first_of_blocks(piece: I32, blocks: Blocks) -> I64:
     """Index of the first pore of each block of the lattice, (blocks + 1,)."""
     counts = np.zeros(blocks.mask.size, np.int64)
     counts[blocks.mask.ravel()] = np.bincount(piece, minlength=int(blocks.mask.sum()))

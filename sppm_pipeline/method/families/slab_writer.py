@@ -21,6 +21,7 @@ from sppm_pipeline.method.slicing.slab_passes import (
 )
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.nouns.storage import NotStorable, stored_bytes
+from sppm_pipeline.services.arrays import U8, U64
 from sppm_pipeline.services.threads import ordered_map
 from sppm_pipeline.stage import Context
 
@@ -30,21 +31,21 @@ class Encoder(Protocol):
 
     def takes_bits(self, stack: SliceStack) -> bool: ...
 
-    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes: ...
+    def encode(self, image: U8, stack: SliceStack) -> bytes: ...
 
-    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes: ...
+    def encode_bits(self, rows: U64, stack: SliceStack) -> bytes: ...
 
 
-def encoded_bits(writer: Encoder, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+def encoded_bits(writer: Encoder, rows: U64, stack: SliceStack) -> bytes:
     """A layer of black and white that is there as bits, (ny, words), the side of largest y first."""
     return writer.encode_bits(rows, stack) if writer.takes_bits(stack) else writer.encode(image_of(rows, stack), stack)
 
 
-def image_of(rows: NDArray[np.uint64], stack: SliceStack) -> NDArray[np.uint8]:
+def image_of(rows: U64, stack: SliceStack) -> U8:
     """Such a layer as `LayerWriter.encode` takes it."""
     from sppm_pipeline.services.bit_rows import unpack
 
-    image: NDArray[np.uint8] = unpack(rows[None], stack.shape[0], 255)[0]
+    image: U8 = unpack(rows[None], stack.shape[0], 255)[0]
     return image
 
 
@@ -110,7 +111,7 @@ class DividedLayers:
         stack: SampledSlices,
         writer: Encoder,
         shown: Collection[int],
-        show: Callable[[int, NDArray[np.uint8]], None],
+        show: Callable[[int, U8], None],
     ) -> None:
         self._context, self._stack, self._shown, self._show = context, stack, shown, show
         self._common = (stack, writer)

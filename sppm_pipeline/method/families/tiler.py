@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
@@ -22,6 +21,7 @@ from sppm_pipeline.nouns.artifact import whole_numbers
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Blocks, Maps, Palette
 from sppm_pipeline.nouns.size import Geometry, Size
+from sppm_pipeline.services.arrays import F32, I64, Bools
 from sppm_pipeline.stage import Context, Recipe, Stage
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Lattice(NamedTuple):
         World position of the low corner of cell (0, 0, 0), mm.
     """
 
-    mask: NDArray[np.bool_]
+    mask: Bools
     edge: float | None
     origin: tuple[float, float, float]
 
@@ -157,7 +157,7 @@ class Scattering(NamedTuple):
     recipe: Recipe
     lattice: Lattice  # blocks that are needed
     # those that are laid, which include `HALO` around the needed ones unless the lattice repeats
-    mask: NDArray[np.bool_]
+    mask: Bools
     cover: SurfaceMesh | None  # the part
     periodic: bool
     porosity: float | None
@@ -209,7 +209,7 @@ class Tiler(Stage):
         check_repeats(self.periodic, self.cells)
 
     @abstractmethod
-    def lay(self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
+    def lay(self, rng: np.random.Generator, mask: Bools, tileset: TileSet) -> Laid:
         """Choose the content of all cells in `mask`; if `periodic`, so that opposite ends of the box fit together.
 
         Parameters
@@ -260,7 +260,7 @@ class Tiler(Stage):
         return at_porosity(context, tiling, part, porosity, self.resolution)
 
 
-def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
+def checked_lay(name: str, laid: Any, mask: Bools, tileset: TileSet) -> Laid:
     """Checked result of `lay` of the stage `name`.
 
     Raises ValueError if shapes, types or numbers are not those that `Tiler.lay` names.
@@ -312,7 +312,7 @@ def measured_tiling(made: Size, resolution: int) -> Size:
     return replace(made, samples=measured.samples, sums=measured.sums, resident=measured.samples)
 
 
-def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.int64], tuple[int, int, int]]]:
+def boxes_of(cells: I64, spare: float) -> list[tuple[I64, tuple[int, int, int]]]:
     """Low corners and shapes of boxes that hold these cells, (n, 3), each once.
 
     Half of a box are cells that it is to hold, or it has no more than `spare` altogether: a layer of a ring or frame
@@ -345,13 +345,13 @@ def at_porosity(
     h = 1.0 / per_edge
     part = None if cover is None else Part(tiling, cover, 0.0, "keep")
 
-    def samples_of(corner: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[np.float32]:
+    def samples_of(corner: I64, shape: tuple[int, int, int]) -> F32:
         (x, y, z), (nx, ny, nz) = corner.astype(float), shape
         # voxel centers
         grid = Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (nx * per_edge, ny * per_edge, nz * per_edge))
         sums = tiling.sums(grid, context.threads)
         if part is not None:
-            within: NDArray[np.float32] = sums.T[part.inside_zyx(grid, 0, grid.shape[2]) != 0]
+            within: F32 = sums.T[part.inside_zyx(grid, 0, grid.shape[2]) != 0]
             return within
         inside = mask[tuple(slice(low, low + n) for low, n in zip(corner, shape, strict=True))]
         for axis in range(3):

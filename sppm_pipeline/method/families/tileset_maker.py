@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.assembly.contents import TilingArrays
@@ -18,6 +17,7 @@ from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import RecipeSize, Size
+from sppm_pipeline.services.arrays import F32, F64
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.stage import Context, Recipe, Stage
 
@@ -93,13 +93,11 @@ class TileSetMaker(Stage):
         measured = tuple(float(v) for v in mean[count > 0])
         return TileSet(micro, self.kind, self.palette_size(), measured, self.porosity)
 
-    def _sums(
-        self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int
-    ) -> list[NDArray[np.float32]]:
+    def _sums(self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int) -> list[F32]:
         """The kernel sum G of each trial layout, (nx, ny, nz) each."""
         tileset = TileSet(micro, self.kind, self.palette_size())
 
-        def sums(arrays: TilingArrays) -> NDArray[np.float32]:
+        def sums(arrays: TilingArrays) -> F32:
             threads = context.threads if len(trial) == 1 else 1
             return Tiling(tileset, arrays, None).sums(cell_centers(n, arrays.shape), threads)
 
@@ -123,7 +121,7 @@ def check_faces(micro: Microstructure, palette: Palette, recipe: str) -> None:
         )
 
 
-def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[NDArray[np.float64]]:
+def _porosities(sums: list[F32], level: float, n: int) -> list[F64]:
     """Porosity of each cell of each trial layout, in the order of ``interior.ravel()``."""
     found = []
     for g in sums:

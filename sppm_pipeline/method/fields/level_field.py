@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.method.kernels.level_spline import LayerSpline
 from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.services.arrays import F32, I32
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import in_bands
 
@@ -31,7 +30,7 @@ class LevelField(WrappedField, KernelSum):
     and is taken off. `base` is not itself a field with a level of its own.
     """
 
-    control: NDArray[np.float64]  # (nx, ny, nz) in the middles of the cells: ln C, or values of the field
+    control: F64  # (nx, ny, nz) in the middles of the cells: ln C, or values of the field
     per_cell: int = 1  # control points along a cell edge where cells of the structure are not those of the lattice
 
     def __post_init__(self) -> None:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.nouns.artifact import Artifact, optional_module
-from sppm_pipeline.services.arrays import F32, I32, U8, U64
+from sppm_pipeline.services.arrays import F32, I32, U8, U64, Bools
 from sppm_pipeline.services.grid import Grid, cell_centers
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ class ScalarField(Artifact, ABC):
         grid = self._grid(grid)
         return self.solid_zyx(grid, 0, grid.shape[2], threads).T
 
-    def to_numpy(self, resolution: int = 64) -> NDArray[np.bool_]:
+    def to_numpy(self, resolution: int = 64) -> Bools:
         """True in the solid, False in pores and tunnels, at voxel centers of all cells, (nx, ny, nz) bool.
 
         Parameters

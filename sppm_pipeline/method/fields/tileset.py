@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.services.arrays import I32
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class TileSet(Artifact):
         if not all(0 <= porosity <= 1 for porosity in self.porosity):
             raise ValueError(f"the porosity of an interior is between 0 and 1, got {self.porosity}")
 
-    def combinations(self) -> NDArray[np.int32] | None:
+    def combinations(self) -> I32 | None:
         """Rows (interior, six face colors) that may occur, or None if any interior meets any colors.
 
         The colors stand in the order low x, high x, low y, high y, low z, high z.

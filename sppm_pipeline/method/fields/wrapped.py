@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.nouns.artifact import frozen
@@ -22,7 +21,7 @@ class CleanedField(WrappedField):
     which stays, does. Inverting the sign keeps the field continuous, as it is zero where the island ends.
     """
 
-    floating: NDArray[np.uint8]  # (nz, ny, nx), 1 in voxels of islands and beside them
+    floating: U8  # (nz, ny, nx), 1 in voxels of islands and beside them
     per_cell: int  # voxels along a cell edge
 
     def __post_init__(self) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.metric import PLAIN, half_widths, semi_axes
 
 
@@ -36,14 +37,14 @@ class Kernels(NamedTuple):
         Metrics of the tunnels; there are both or none.
     """
 
-    centers: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    starts: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    mu: NDArray[np.float64]
+    centers: F64
+    omega: F64
+    starts: F64
+    ends: F64
+    mu: F64
     profile: str = "linear"
-    pore_metric: NDArray[np.float64] | None = None
-    tunnel_metric: NDArray[np.float64] | None = None
+    pore_metric: F64 | None = None
+    tunnel_metric: F64 | None = None
 
     def taken(self, pores: slice | NDArray[Any], tunnels: slice | NDArray[Any]) -> Kernels:
         """Some of the pores and some of the tunnels: by slices, by indices or by masks; the latter two make copies."""
@@ -54,7 +55,7 @@ class Kernels(NamedTuple):
             None if self.tunnel_metric is None else _rows(self.tunnel_metric, tunnels),
         )  # fmt: skip
 
-    def shifted(self, offset: NDArray[np.float64]) -> Kernels:
+    def shifted(self, offset: F64) -> Kernels:
         """The same kernels moved by `offset` (3,)."""
         return self._replace(centers=self.centers + offset, starts=self.starts + offset, ends=self.ends + offset)
 
@@ -91,11 +92,11 @@ def concatenated(parts: Iterable[Kernels]) -> Kernels:
     )  # fmt: skip
 
 
-def _metrics(metric: NDArray[np.float64] | None, n: int) -> NDArray[np.float64]:
+def _metrics(metric: F64 | None, n: int) -> F64:
     return np.tile(PLAIN, (n, 1)) if metric is None else metric
 
 
-def kernel_reaches(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def kernel_reaches(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[F64, F64]:
     """Distances (n,) and (m,) from centers and axes beyond which pores and tunnels lie below the cut-off."""
     pores, tunnels = _reaches(kernels, cutoff)
     if kernels.pore_metric is None or kernels.tunnel_metric is None:
@@ -103,7 +104,7 @@ def kernel_reaches(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[ND
     return pores * semi_axes(kernels.pore_metric)[:, 0], tunnels * semi_axes(kernels.tunnel_metric)[:, 0]
 
 
-def _reaches(kernels: Kernels, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _reaches(kernels: Kernels, cutoff: float) -> tuple[F64, F64]:
     """Reaches in the metric of each kernel."""
     return PORE_PROFILE.reach(kernels.omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)
 
@@ -118,9 +119,7 @@ def steepest(kernels: Kernels) -> tuple[float, float]:
     return float(omega.max(initial=0)), float(mu.max(initial=0))
 
 
-def reach_boxes(
-    kernels: Kernels, cutoff: float = DEFAULT_CUTOFF
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def reach_boxes(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[F64, F64, F64, F64]:
     """Low and high corners (n, 3) of boxes outside of which pores, then tunnels, lie below the cut-off."""
     pores, tunnels = half_boxes(kernels, slice(None), slice(None), cutoff)
     return (
@@ -131,9 +130,7 @@ def reach_boxes(
     )
 
 
-def half_boxes(
-    kernels: Kernels, pores: slice | NDArray[np.int64], tunnels: slice | NDArray[np.int64], cutoff: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def half_boxes(kernels: Kernels, pores: slice | I64, tunnels: slice | I64, cutoff: float) -> tuple[F64, F64]:
     """Reach of some pores, (n, 1 or 3), and tunnels, (m, 1 or 3), along each axis, or along all."""
     omega, mu = _rows(kernels.omega, pores), _rows(kernels.mu, tunnels)
     reaches = PORE_PROFILE.reach(omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(mu, cutoff)
@@ -146,9 +143,7 @@ def half_boxes(
     )
 
 
-def boxes_meet(
-    low: NDArray[np.float64], high: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def boxes_meet(low: F64, high: F64, lower: F64, upper: F64) -> Bools:
     """Which of the boxes from `low` to `high`, both (n, 3), meet the one from `lower` to `upper`, (n,) bool."""
     meet = (low[:, 0] <= upper[0]) & (high[:, 0] >= lower[0])
     for axis in (1, 2):  # the sum over rows of three takes longer than all else
@@ -157,7 +152,7 @@ def boxes_meet(
     return np.asarray(meet)
 
 
-def log_normal_factors(generator: Callable[[], np.random.Generator], spread: float, n: int) -> NDArray[np.float64]:
+def log_normal_factors(generator: Callable[[], np.random.Generator], spread: float, n: int) -> F64:
     """Factors of radii (n,): log-normal, median 1, cut at two deviations so that no pore swallows a cell.
 
     The generator is asked for only where there is a spread: equal radii need no seed.

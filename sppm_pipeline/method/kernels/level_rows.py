@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, F64, I16, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 OUTSIDE = np.iinfo(np.int16).min
@@ -12,15 +12,7 @@ OUTSIDE = np.iinfo(np.int16).min
 
 
 @jit
-def less_level(
-    rows: NDArray[np.float32],
-    cell: NDArray[np.int64],
-    weights: NDArray[np.float32],
-    begin: np.float32,
-    row: int,
-    column: int,
-    out: NDArray[np.float32],
-) -> None:
+def less_level(rows: F32, cell: I64, weights: F32, begin: np.float32, row: int, column: int, out: F32) -> None:
     """A number less the spline in a window of a layer, (h, w) float32; products and sums one by one, as in NumPy.
 
     `rows` (ny, cells + 2) are the control points along every row, with one more at each end; `cell` (nx,) is the cell
@@ -45,13 +37,7 @@ def less_level(
 
 @jit
 def void_at_level(
-    codes: NDArray[np.int16],
-    control: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    middle: float,
-    scale: float,
-    most: float,
-    width: int,
+    codes: I16, control: F64, weights: F64, middle: float, scale: float, most: float, width: int
 ) -> tuple[int, int, int, int]:
     """Samples of a cell that count, and their distance above the level, clipped to the width that the count resolves.
 

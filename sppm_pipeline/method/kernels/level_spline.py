@@ -12,23 +12,24 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F32, F64, I64, Bools
 
 
 class _Along(NamedTuple):
     """Positions along one axis: the first and last cell that they lie in, and for each its cell and three weights."""
 
-    cell: NDArray[np.int64]
-    weights: NDArray[np.float64]
+    cell: I64
+    weights: F64
 
 
-def _along(positions: NDArray[np.float64], cells: int) -> _Along:
+def _along(positions: F64, cells: int) -> _Along:
     cell = np.clip(np.floor(positions).astype(np.int64), 0, cells - 1)
     t = np.clip(positions - cell, 0.0, 1.0)
     return _Along(cell, np.stack([(1 - t) ** 2 / 2, 0.5 + t - t**2, t**2 / 2], -1))
 
 
-def _contracted(values: NDArray[np.float64], along: _Along) -> NDArray[np.float64]:
+def _contracted(values: F64, along: _Along) -> F64:
     """Control points along the first axis of `values` to positions along the last one of the result."""
     padded = np.concatenate([values[:1], values, values[-1:]])
     taken = [padded[along.cell + k] * along.weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) for k in range(3)]
@@ -36,7 +37,7 @@ def _contracted(values: NDArray[np.float64], along: _Along) -> NDArray[np.float6
 
 
 @cache
-def weights_in_cell(n: int) -> NDArray[np.float64]:
+def weights_in_cell(n: int) -> F64:
     """Weights (n, 3) of the control points before, in and after a cell, in the middles of n voxels along an axis."""
     weights = _along(1 + (np.arange(n) + 0.5) / n, 3).weights
     weights.flags.writeable = False
@@ -49,9 +50,7 @@ class LayerSpline:
     A value depends on its position alone: it is the same sum of three numbers whatever is asked for beside it.
     """
 
-    def __init__(
-        self, control: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, control: F64, x: F64, y: F64, z: F64) -> None:
         across = _along(x, control.shape[0])
         self._cell, self._weights = across.cell, np.ascontiguousarray(across.weights.T, np.float32)
         upwards, along = _along(z, control.shape[2]), _along(y, control.shape[1])
@@ -59,7 +58,7 @@ class LayerSpline:
         rows = _contracted(planes.transpose(1, 2, 0), along).transpose(0, 2, 1).astype(np.float32)
         self._rows = np.ascontiguousarray(np.concatenate([rows[..., :1], rows, rows[..., -1:]], -1))
 
-    def less(self, begin: float, layer: int, rows: slice, columns: slice) -> NDArray[np.float32]:
+    def less(self, begin: float, layer: int, rows: slice, columns: slice) -> F32:
         """`begin` less the spline in a window of a layer, float32, indexed y, x."""
         from sppm_pipeline.method.kernels.level_rows import less_level
 
@@ -68,7 +67,7 @@ class LayerSpline:
         return out
 
 
-def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
+def control_of_means(means: F64) -> F64:
     """The control points whose spline has the given means over the cells, (nx, ny, nz): a banded solve for each axis.
 
     Along each axis means are ``(1/6, 2/3, 1/6)`` of the control points, ``(5/6, 1/6)`` at the ends.
@@ -92,7 +91,7 @@ def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
     return values
 
 
-def control_with_some_held(means: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+def control_with_some_held(means: F64, held: Bools) -> F64:
     """Control points (nx, ny, nz) that are zero in the cells `held`, whose spline has the given means over all others.
 
     By conjugate gradients: the matrix is symmetric, its eigenvalues lie between 1/27 and 1.
@@ -112,7 +111,7 @@ def control_with_some_held(means: NDArray[np.float64], held: NDArray[np.bool_]) 
     return found
 
 
-def _means_of(control: NDArray[np.float64]) -> NDArray[np.float64]:
+def _means_of(control: F64) -> F64:
     """Means of the spline over the cells."""
     for axis in range(3):
         padded = np.pad(control, [(int(a == axis),) * 2 for a in range(3)], mode="edge")
@@ -121,7 +120,7 @@ def _means_of(control: NDArray[np.float64]) -> NDArray[np.float64]:
     return control
 
 
-def extended(values: NDArray[np.float64], known: NDArray[np.bool_], sweeps: int = 200) -> NDArray[np.float64]:
+def extended(values: F64, known: Bools, sweeps: int = 200) -> F64:
     """`values` where they are known, elsewhere a smooth continuation: the mean of the neighbors, as far as it spreads.
 
     Where nothing is known within `sweeps` cells the mean of all known values is taken.

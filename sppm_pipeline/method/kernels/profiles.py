@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F32, F64
 
 #: Kernel values below this fraction of their maximum are dropped: 2 voxels in 100 000 change sides, against 2 in
 #: 100 at a cut-off of 1e-2 (measured on cells of the paper).
@@ -38,10 +38,10 @@ class TunnelProfile:
     # ``d^power`` of the squared distance, float32 to float32; compiled and inlined into the sum
     exponent: Callable[[np.float32], np.float32]
 
-    def value(self, mu: NDArray[np.float64], squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def value(self, mu: F64, squared_distance: F64) -> F64:
         """The kernel at a squared distance, in float64: what the compiled sums approximate."""
         distance = np.sqrt(squared_distance) if self.power == 1 else squared_distance ** (self.power / 2)
-        value: NDArray[np.float64] = np.exp(-mu * distance)
+        value: F64 = np.exp(-mu * distance)
         return value
 
     def mu(self, radius: float, level: float, name: str = "tunnel radius") -> float:
@@ -59,11 +59,11 @@ class TunnelProfile:
         """`mu` for lengths counted in cell sizes: ``mu * edge^power``; DesignError if either is not positive."""
         return _positive(mu, name, self.unit) * float(_positive(edge, "cell size", "length") ** self.power)
 
-    def reach(self, mu: NDArray[np.float64] | float, cutoff: float = DEFAULT_CUTOFF) -> NDArray[np.float64]:
+    def reach(self, mu: F64 | float, cutoff: float = DEFAULT_CUTOFF) -> F64:
         """Distance at which the kernel falls to the cut-off, shape of `mu`."""
         return self.root(math.log(1.0 / check_cutoff(cutoff)) / np.asarray(mu, dtype=np.float64))
 
-    def scale(self, mu: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scale(self, mu: F64) -> F64:
         """Factor s of lengths such that the kernel is ``2^-((s d)^power)``, the form of the compiled sums."""
         return self.root(np.asarray(mu, dtype=np.float64) * math.log2(math.e))
 
@@ -71,11 +71,11 @@ class TunnelProfile:
         """`reach` after lengths were multiplied by `scale`: the same for every mu."""
         return float(self.root(math.log2(1.0 / check_cutoff(cutoff))))
 
-    def scaled_radius(self, factor: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scaled_radius(self, factor: F64) -> F64:
         """Factor of mu that multiplies the radius by `factor`."""
         return factor ** -float(self.power)
 
-    def root(self, x: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def root(self, x: F64 | float) -> F64:
         """``x^(1 / power)``, the distance at which ``d^power`` is x."""
         # the built-in profiles need no general power
         if self.power == 1:
@@ -136,7 +136,7 @@ LEAST_SUM = 1e-5
 """Sums below this are the cut-off of the kernels, not data."""
 
 
-def log_of_sums(values: NDArray[np.float32], level: float) -> NDArray[np.float32]:
+def log_of_sums(values: F32, level: float) -> F32:
     """``ln(G / C)`` of samples of ``G - C``, with the same signs; in place."""
     values *= np.float32(1 / level)
     np.maximum(values, np.float32(LEAST_SUM / level - 1), out=values)

@@ -14,9 +14,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.kernels.profiles import TunnelProfile
+from sppm_pipeline.services.arrays import F32, I32
 from sppm_pipeline.services.jit.compiled import inline_jit, jit, specialized
 
 #: Samples of one block, rows of one group.
@@ -67,7 +67,7 @@ def exponent(squared_distance: np.float32) -> np.float32:
 
 
 @inline_jit
-def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: np.float32) -> None:
+def fill_gauss(row: F32, blocks: int, first: np.float32, step: np.float32) -> None:
     """row[i] = 2^-((first + i step)^2) for the first `blocks` blocks of the row."""
     for i in range(np.uint64(blocks) << _SHIFT):
         x = first + step * np.float32(np.int32(i))
@@ -75,7 +75,7 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
 
 
 @inline_jit
-def clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
+def clip_rows(table: F32, low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
     """Write first sample and blocks of row i; they cover at least low <= x <= high where it is wanted.
 
     Where a block begins depends on `low`, `high` and `nx` alone, so that a sample is the same whatever is wanted.
@@ -94,7 +94,7 @@ def clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx:
 
 
 @inline_jit
-def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int, rows: int, nx: int) -> bool:
+def want_rows(table: F32, wanted: I32, first: int, rows: int, nx: int) -> bool:
     """Write which samples of the sixteen rows are wanted, from the first to the last; False if there are none.
 
     ``wanted[r]`` are the first sample of row r and the one after the last; if it is empty, all are wanted.
@@ -114,7 +114,7 @@ def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int,
 
 @inline_jit
 def point_rows(
-    table: NDArray[np.float32],
+    table: F32,
     reach: np.float32,
     dy: np.float32,
     step: np.float32,
@@ -139,15 +139,7 @@ def point_rows(
 
 
 @inline_jit
-def add_gauss_rows(
-    out: NDArray[np.float32],
-    start: int,
-    stride: int,
-    rows: int,
-    table: NDArray[np.float32],
-    values: NDArray[np.float32],
-    shift: int,
-) -> None:
+def add_gauss_rows(out: F32, start: int, stride: int, rows: int, table: F32, values: F32, shift: int) -> None:
     """Add ``factor * values`` to the prepared rows; sample x of a row takes ``values[x + shift]``.
 
     Row i of the group begins at ``out[start + i stride]``.
@@ -163,12 +155,12 @@ def add_gauss_rows(
 
 @inline_jit
 def tunnel_rows(
-    table: NDArray[np.float32],
+    table: F32,
     reach: np.float32,
     dy: np.float32,
     step: np.float32,
     dz: np.float32,
-    axis: NDArray[np.float32],
+    axis: F32,
     start: np.float32,
     first: np.float32,
     step_x: np.float32,
@@ -223,15 +215,7 @@ def tunnel_rows(
         table[REST + i] = rest
 
 
-def add_tunnel_rows(
-    out: NDArray[np.float32],
-    start: int,
-    stride: int,
-    rows: int,
-    table: NDArray[np.float32],
-    axis: NDArray[np.float32],
-    step: np.float32,
-) -> None:
+def add_tunnel_rows(out: F32, start: int, stride: int, rows: int, table: F32, axis: F32, step: np.float32) -> None:
     """Add ``2^-exponent(d^2)`` to the prepared rows; d is the distance from the segment, `step` the spacing along x.
 
     Row i of the group begins at ``out[start + i stride]``. Compiled once for each tunnel profile by `compiled_for`.

@@ -13,7 +13,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.kernels.kernels import Kernels, boxes_meet, reach_boxes
 from sppm_pipeline.method.kernels.profiles import (
@@ -34,6 +33,7 @@ from sppm_pipeline.method.kernels.rows import (
     tunnel_rows,
     want_rows,
 )
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import check_metric
@@ -44,13 +44,13 @@ _BLOCK_SAMPLES = 1 << 18
 
 
 def add_kernels(
-    out: NDArray[np.float32],
+    out: F32,
     grid: Grid,
     kernels: Kernels,
     cutoff: float = DEFAULT_CUTOFF,
     threads: int = 1,
     first_layer: int = 0,
-    wanted: NDArray[np.int32] | None = None,
+    wanted: I32 | None = None,
 ) -> None:
     """Add all kernels to the samples of a grid (paper, eq. 1-3), layers ``first_layer <= k < first_layer + nz``.
 
@@ -69,8 +69,8 @@ def add_kernels(
 class Prepared(NamedTuple):
     """Kernels that reach some layers of a grid, as the compiled sums take them."""
 
-    points: NDArray[np.float64]  # (n, columns), in order, see `_packed` and `packed_capsules`
-    tunnels: NDArray[np.float64]
+    points: F64  # (n, columns), in order, see `_packed` and `packed_capsules`
+    tunnels: F64
     profile: TunnelProfile
     stretched: bool  # kernels have metrics
     cutoff: float
@@ -97,12 +97,7 @@ def prepared(
 
 
 def add_prepared(
-    out: NDArray[np.float32],
-    grid: Grid,
-    kernels: Prepared,
-    threads: int = 1,
-    first_layer: int = 0,
-    wanted: NDArray[np.int32] | None = None,
+    out: F32, grid: Grid, kernels: Prepared, threads: int = 1, first_layer: int = 0, wanted: I32 | None = None
 ) -> None:
     """Add kernels, prepared for these layers or more, to the samples of a grid; otherwise as `add_kernels`."""
     nx, ny, nz = grid.shape
@@ -149,7 +144,7 @@ def add_prepared(
     share_out(add_block, range(0, layers, height), threads)
 
 
-def _packed(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _packed(kernels: Kernels) -> tuple[F64, F64]:
     """Points as rows cx cy cz k, tunnels as rows ax ay az ux uy uz length k; k scales lengths to powers of 2."""
     for values in kernels[:5]:
         if not np.isfinite(values).all():
@@ -176,9 +171,7 @@ def _packed(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return points, tunnels
 
 
-def _reaching(
-    points: NDArray[np.float64], tunnels: NDArray[np.float64], kernels: Kernels, grid: Grid, cutoff: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _reaching(points: F64, tunnels: F64, kernels: Kernels, grid: Grid, cutoff: float) -> tuple[F64, F64]:
     """The kernels whose boxes of reach meet the box of the samples, in order."""
     lower = np.array(grid.origin)
     upper = lower + np.array(grid.spacing) * (np.array(grid.shape) - 1)
@@ -191,16 +184,16 @@ def _reaching(
 
 @jit
 def _add_points(
-    out: NDArray[np.float32],
+    out: F32,
     shape: tuple[int, int, int],
     first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    wanted: NDArray[np.int32],
-    points: NDArray[np.float64],
+    origin: F64,
+    spacing: F64,
+    wanted: I32,
+    points: F64,
     reach: float,
-    table: NDArray[np.float32],
-    along_x: NDArray[np.float32],
+    table: F32,
+    along_x: F32,
 ) -> None:
     """Add Gaussians to the flat array `out`; a Gaussian is a row of values along x times one factor a row."""
     nz, ny, nx = shape
@@ -244,16 +237,16 @@ def tunnel_adder(profile: TunnelProfile) -> Callable[..., None]:
 
 
 def _add_tunnels(
-    out: NDArray[np.float32],
+    out: F32,
     shape: tuple[int, int, int],
     first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    wanted: NDArray[np.int32],
-    tunnels: NDArray[np.float64],
+    origin: F64,
+    spacing: F64,
+    wanted: I32,
+    tunnels: F64,
     reach: float,
-    table: NDArray[np.float32],
-    axis: NDArray[np.float32],
+    table: F32,
+    axis: F32,
 ) -> None:
     """Add segment kernels to the flat array `out`, row by row in the frame of the segment."""
     nz, ny, nx = shape

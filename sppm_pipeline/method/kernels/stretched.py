@@ -12,7 +12,6 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.kernels.kernels import Kernels, boxes_meet, reach_boxes
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES, TunnelProfile
@@ -27,6 +26,7 @@ from sppm_pipeline.method.kernels.rows import (
     compiled_for,
     want_rows,
 )
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import inline_jit
 from sppm_pipeline.services.metric import upper_roots
@@ -34,7 +34,7 @@ from sppm_pipeline.services.metric import upper_roots
 _COLUMNS = 19
 
 
-def packed_capsules(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def packed_capsules(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[F64, F64]:
     """Pores and tunnels that reach a grid as rows (n, 19) for `stretched_adder`, in order; also for plain distances.
 
     Columns: start x, y, z; U as xx, xy, xz, yy, yz, zz, scaled to powers of 2; direction and length of U (end - start);
@@ -48,14 +48,7 @@ def packed_capsules(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[NDArra
     )
 
 
-def _packed(
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    metric: NDArray[np.float64] | None,
-    scale: NDArray[np.float64],
-    box: tuple[NDArray[np.float64], ...],
-    grid: Grid,
-) -> NDArray[np.float64]:
+def _packed(starts: F64, ends: F64, metric: F64 | None, scale: F64, box: tuple[F64, ...], grid: Grid) -> F64:
     lower, upper = box
     first = np.array(grid.origin)
     last = first + np.array(grid.spacing) * (np.array(grid.shape) - 1)
@@ -82,16 +75,7 @@ def _packed(
 
 @inline_jit
 def _capsule_row(
-    table: NDArray[np.float32],
-    i: int,
-    reach: float,
-    x: float,
-    y: float,
-    z: float,
-    axis: NDArray[np.float32],
-    step: float,
-    start: float,
-    nx: np.float32,
+    table: F32, i: int, reach: float, x: float, y: float, z: float, axis: F32, step: float, start: float, nx: np.float32
 ) -> None:
     """Prepare row i through a capsule about a segment from 0, in units in which the capsule has the radius `reach`.
 
@@ -132,16 +116,16 @@ def stretched_adder(profile: TunnelProfile) -> Callable[..., None]:
 
 
 def _add_stretched(
-    out: NDArray[np.float32],
+    out: F32,
     shape: tuple[int, int, int],
     first_layer: int,
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    wanted: NDArray[np.int32],
-    capsules: NDArray[np.float64],
+    origin: F64,
+    spacing: F64,
+    wanted: I32,
+    capsules: F64,
     reach: float,
-    table: NDArray[np.float32],
-    axis: NDArray[np.float32],
+    table: F32,
+    axis: F32,
 ) -> None:
     """Add stretched kernels to the flat array `out`, row by row; the rows of `capsules` are those of `_packed`."""
     nz, ny, nx = shape

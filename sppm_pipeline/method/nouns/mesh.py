@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.nouns.artifact import (
@@ -46,8 +46,8 @@ class SurfaceMesh(Viewable):
 
     reported: ClassVar[tuple[str, ...]] = ("vertices", "triangles", "size_mm.#3", "volume_mm3")
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    vertices: F64
+    faces: I32
     name: str = "mesh"
     groups: tuple[tuple[str, int, int], ...] = ()
 
@@ -217,7 +217,7 @@ class RepeatedMesh(Artifact):
     )  # fmt: skip
 
     mesh: SurfaceMesh
-    offsets: NDArray[np.float64]
+    offsets: F64
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "offsets", frozen(np.asarray(self.offsets, np.float64).reshape(-1, 3)))
@@ -257,8 +257,8 @@ class ExpectedSize(NamedTuple):
 
     vertices: int
     faces: int
-    least: NDArray[np.float64]  # (2, 3): low and high corner; the box of the vertices reaches as far as this
-    most: NDArray[np.float64]  # and no farther than this
+    least: F64  # (2, 3): low and high corner; the box of the vertices reaches as far as this
+    most: F64  # and no farther than this
 
     def moved(self, scale: float, origin: F64) -> ExpectedSize:
         """Of the mesh times a scale, and moved by an origin."""

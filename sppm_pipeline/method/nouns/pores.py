@@ -13,7 +13,7 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.nouns.length import Cell, parse_length
 from sppm_pipeline.nouns.palette import Blocks
-from sppm_pipeline.services.arrays import distinct
+from sppm_pipeline.services.arrays import F64, I32, I64, distinct
 
 _ROUNDING = 1e-9
 """Distance, in cell sizes, that a pore may lie outside of its cell by rounding."""
@@ -46,8 +46,8 @@ class PoreSet(Artifact):
     reported: ClassVar[tuple[str, ...]] = ("pores", "face_pores", "interiors", "colors.#3", "pores_per_cell", "spacing")
 
     cell: Cell
-    centers: NDArray[np.float64]
-    piece: NDArray[np.int32]
+    centers: F64
+    piece: I32
     interiors: int = 1
     colors: tuple[int, int, int] = (0, 0, 0)
     spacing: float | None = None
@@ -132,12 +132,12 @@ class PoreSet(Artifact):
                 f"pores {first} and {second} of piece {self.piece[first]} are one: both lie at ({x:g}, {y:g}, {z:g})"
             )
 
-    def to_numpy(self) -> NDArray[np.float64]:
+    def to_numpy(self) -> F64:
         """Centers of the pores, (n, 3) float64: in millimeters, or in cell sizes if the cell has no physical size."""
         return self.centers * (self.cell.edge if self.cell.physical else 1.0)
 
     @property
-    def centers_mm(self) -> NDArray[np.float64]:
+    def centers_mm(self) -> F64:
         """Centers of the pores, (n, 3) float64, mm.
 
         Raises
@@ -156,11 +156,11 @@ class PoreSet(Artifact):
         """True if there are pores on the faces of the cell."""
         return sum(self.colors) > 0
 
-    def axis_of_piece(self) -> NDArray[np.int64]:
+    def axis_of_piece(self) -> I64:
         """For each piece its face axis 0, 1, 2, or -1 for interiors."""
         return np.repeat([-1, 0, 1, 2], [self.interiors, *self.colors])
 
-    def around_edges(self) -> NDArray[np.float64]:
+    def around_edges(self) -> F64:
         """Places of all pores on edges and corners, of all colors, at all edges and corners of the cell, (k, 3)."""
         lying = (self.piece >= self.interiors) & ((self.centers == 0).sum(1) > 1)
         low = distinct(self.centers[lying], axis=0)
@@ -173,29 +173,29 @@ class PoreSet(Artifact):
         """Piece number of a face pattern."""
         return self.interiors + sum(self.colors[:axis]) + color
 
-    def face_pieces(self, axes: NDArray[np.integer], colors: NDArray[np.integer]) -> NDArray[np.int64]:
+    def face_pieces(self, axes: NDArray[np.integer], colors: NDArray[np.integer]) -> I64:
         """Piece numbers of many face patterns, (p,) int64."""
         first = self.interiors + np.cumsum([0, *self.colors[:2]])
-        pieces: NDArray[np.int64] = first[axes] + colors
+        pieces: I64 = first[axes] + colors
         return pieces
 
-    def indices(self, piece: int) -> NDArray[np.int64]:
+    def indices(self, piece: int) -> I64:
         """Indices of the pores of one piece."""
         order, start = self.by_piece
         return order[start[piece] : start[piece + 1]]
 
-    def of_piece(self, piece: int) -> NDArray[np.float64]:
+    def of_piece(self, piece: int) -> F64:
         """Centers of one piece, (k, 3)."""
         return self.centers[self.indices(piece)]
 
     @cached_property
-    def by_piece(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def by_piece(self) -> tuple[I64, I64]:
         """Pores in the order of their pieces, (n,) int64, and where each piece begins there, (pieces + 1,) int64."""
         count = np.bincount(self.piece, minlength=self.interiors + sum(self.colors))
         # stable, so that pores of a piece keep the order in which they were thrown
         return np.argsort(self.piece, kind="stable"), np.concatenate([[0], np.cumsum(count)])
 
-    def extended(self, centers: NDArray[np.float64], piece: NDArray[np.int32], **changes: Any) -> PoreSet:
+    def extended(self, centers: F64, piece: I32, **changes: Any) -> PoreSet:
         """The same set with more pores."""
         values: dict[str, Any] = {
             "cell": self.cell, "interiors": self.interiors, "colors": self.colors, "spacing": self.spacing,

@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.nouns.artifact import Surface, Viewable, frozen
 from sppm_pipeline.nouns.report import TEXT, Chart, Curve, Number, Report, reports
+from sppm_pipeline.services.arrays import F64
 
 if TYPE_CHECKING:
     from sppm_pipeline.services.elastic.bounds import Bounds
@@ -50,12 +50,12 @@ class StiffnessReport(Report, Viewable):
         "E_relative", "E_ratio", "E", "G", "nu", "C.1.1", "C.1.2", "C.4.4", "porosity",
     )  # fmt: skip
 
-    stiffness: NDArray[np.float64]
+    stiffness: F64
     phases: tuple[tuple[float, float, float], ...]
     method: str = field(metadata=TEXT)
     unit: str | None = field(default=None, metadata=TEXT)
-    error: NDArray[np.float64] | None = None
-    expansion: NDArray[np.float64] | None = None
+    error: F64 | None = None
+    expansion: F64 | None = None
     solver: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -94,21 +94,21 @@ class StiffnessReport(Report, Viewable):
 
     @property
     @reports("#6.#6", unit="{unit}", error="error")
-    def C(self) -> NDArray[np.float64]:
+    def C(self) -> F64:
         """`stiffness`, (6, 6) float64."""
         return self.stiffness
 
     @property
-    def E(self) -> NDArray[np.float64]:
+    def E(self) -> F64:
         """Young's moduli along x, y, z, (3,) float64, in `unit`; the number in tables is ``E.1`` to ``E.3``."""
         return self._constants("E")
 
     @property
-    def G(self) -> NDArray[np.float64]:
+    def G(self) -> F64:
         """Shear moduli yz, xz, xy, (3,) float64, in `unit`."""
         return self._constants("G")
 
-    def _constants(self, name: str) -> NDArray[np.float64]:
+    def _constants(self, name: str) -> F64:
         from sppm_pipeline.services.elastic.voigt import engineering_constants
 
         return np.asarray(engineering_constants(self.stiffness)[name], np.float64)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows, twin_rows_of, whole_numbers
+from sppm_pipeline.services.arrays import F64, I64
 
 NARROW = 1 << 18
 """Number of tunnels from which they are kept in few bytes: eleven each instead of forty, 3 MB instead of 10. Not
@@ -124,7 +125,7 @@ class TunnelGraph(Artifact):
             a, b = self.edges[first]
             raise ValueError(f"tunnels {first} and {second} are one: both join the pores {a} and {b}")
 
-    def _directed(self, some: slice) -> list[NDArray[np.int64]]:
+    def _directed(self, some: slice) -> list[I64]:
         """Columns of some tunnels: their ends and shifts, seen from the end that makes both senses the same."""
         (a, b), s = self.edges[some].astype(np.int64).T, self.shift[some].astype(np.int64)
         loops = np.flatnonzero((a == b) & ~s.any(1))
@@ -147,15 +148,13 @@ class TunnelGraph(Artifact):
             equal &= column[:-1] == column[1:]
         return bool(less.all())
 
-    def segments(
-        self, some: slice | NDArray[np.integer] = slice(None)
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def segments(self, some: slice | NDArray[np.integer] = slice(None)) -> tuple[F64, F64]:
         """Start and end points of all tunnels, or of some, each (m, 3), cell sizes."""
         start, end = (self.pores.centers[self.edges[some, k]] for k in range(2))
         end += self.shift[some]
         return start, end
 
-    def sorted_segments(self, order: NDArray[np.int64] | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sorted_segments(self, order: I64 | None) -> tuple[F64, F64]:
         """`segments` in another order, None for their own, with little memory beside them."""
         start, end = np.empty((len(self.edges), 3)), np.empty((len(self.edges), 3))
         for first in range(0, len(self.edges), _BLOCK):
@@ -163,7 +162,7 @@ class TunnelGraph(Artifact):
             start[some], end[some] = self.segments(some if order is None else order[some])
         return start, end
 
-    def lengths(self) -> NDArray[np.float64]:
+    def lengths(self) -> F64:
         """Lengths of all tunnels, (m,), cell sizes."""
         length = np.empty(len(self.edges))
         for first in range(0, len(length), _BLOCK):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.nouns.artifact import Artifact, optional_module
+from sppm_pipeline.services.arrays import F32, U8, Bools
 
 THIN = 3
 """Voxels across a strut or wall below which its stiffness and conductivity are not resolved."""
@@ -42,7 +43,7 @@ class Voxels(Artifact):
 
     reported: ClassVar[tuple[str, ...]] = ("shape.#3", "spacing.#3", "porosity", "phases.#6")
 
-    values: NDArray[np.uint8] | NDArray[np.float32]
+    values: U8 | F32
     spacing: tuple[float, float, float]
     physical: bool
     periodic: tuple[bool, bool, bool]
@@ -101,7 +102,7 @@ class Voxels(Artifact):
         voxels.check()
         return voxels
 
-    def to_array(self, axes: str = "xyz") -> NDArray[np.uint8] | NDArray[np.float32]:
+    def to_array(self, axes: str = "xyz") -> U8 | F32:
         """`values`, read-only, or with ``axes="zyx"`` the same indexed z, y, x."""
         return self.values.T if axes == "zyx" else self.values
 
@@ -139,7 +140,7 @@ class Voxels(Artifact):
         nx, ny, nz = self.values.shape
         return nx, ny, nz
 
-    def solid(self) -> NDArray[np.bool_]:
+    def solid(self) -> Bools:
         """Which voxels are solid: a phase other than void, or at least half full."""
         return self.values >= 0.5 if self.fractions else self.values > 0
 
@@ -201,7 +202,7 @@ class Voxels(Artifact):
         inside = np.pad(solid, 2, **mode)  # type: ignore[call-overload]
         steps = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1) and 1 in step]
 
-        def shifted(image: NDArray[np.bool_], step: tuple[int, ...]) -> NDArray[np.bool_]:
+        def shifted(image: Bools, step: tuple[int, ...]) -> Bools:
             return image[tuple(slice(s, n - 2 + s) for s, n in zip(step, image.shape, strict=True))]
 
         core = shifted(inside, (1, 1, 1)).copy()

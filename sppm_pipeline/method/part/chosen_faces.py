@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.services.arrays import F64, I32, U8, Bools
 from sppm_pipeline.services.grid import Grid
@@ -34,7 +34,7 @@ def faces_toward(vertices: F64, faces: I32, directions: ArrayLike, angle: float)
     # not divided by the length: triangles without an area would give 0 / 0
     cosines = (normals @ ways.T).max(1, initial=-np.inf)
     # a face at the very angle counts, whichever way its cosine is rounded
-    chosen: NDArray[np.bool_] = (length > 0) & (cosines >= (math.cos(math.radians(angle)) - 1e-9) * length)
+    chosen: Bools = (length > 0) & (cosines >= (math.cos(math.radians(angle)) - 1e-9) * length)
     return chosen
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64, I32, I64, Bools
 from sppm_pipeline.services.grid import Grid
@@ -18,10 +17,10 @@ _AT_NODE = 1e-6
 class Crossings(NamedTuple):
     """Crossings of grid edges with triangles, sorted by edge, and by triangle on the same edge."""
 
-    edge: NDArray[np.int64]  # ``3 * node + axis``; node (i, j, k), where the edge begins, is ``(k * ny + j) * nx + i``
-    share: NDArray[np.float64]  # place on the edge, from 0 at its node to 1 at the next
-    triangle: NDArray[np.int32]
-    normals: NDArray[np.float64]  # of all triangles, (m, 3); zero without area
+    edge: I64  # ``3 * node + axis``; node (i, j, k), where the edge begins, is ``(k * ny + j) * nx + i``
+    share: F64  # place on the edge, from 0 at its node to 1 at the next
+    triangle: I32
+    normals: F64  # of all triangles, (m, 3); zero without area
 
 
 NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty((0, 3)))
@@ -29,7 +28,7 @@ NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int3
 
 def unit_normals(triangles: F64) -> F64:
     """Unit normals of triangles (m, 3, 3), zero for those without area."""
-    normals: NDArray[np.float64] = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals: F64 = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     np.divide(normals, length, out=normals, where=length > 0)
     return normals

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.services.arrays import F32, F64, I32, U8, U64
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
@@ -37,13 +37,7 @@ class DomainSampler:
     """
 
     def __init__(
-        self,
-        domain: SurfaceMesh,
-        of: Grid,
-        world: Grid,
-        skin_mm: float,
-        method: Method,
-        skin_faces: NDArray[np.int32] | None = None,
+        self, domain: SurfaceMesh, of: Grid, world: Grid, skin_mm: float, method: Method, skin_faces: I32 | None = None
     ) -> None:
         self.of = of
         self._domain = domain
@@ -51,14 +45,14 @@ class DomainSampler:
         self._skin_mm = skin_mm
         self._method = method
         self._scan: Scan | SpannedScan | ThreeAxisScan | None = None
-        self._voted: tuple[int, int, NDArray[np.uint8]] | None = None
-        self._triangles: NDArray[np.float64] | None = None
-        self._normals: NDArray[np.float64] | None = None
+        self._voted: tuple[int, int, U8] | None = None
+        self._triangles: F64 | None = None
+        self._normals: F64 | None = None
         self._skin_faces = skin_faces
-        self._skin_corners: NDArray[np.float64] | None = None
-        self._kept: dict[str, tuple[int, NDArray[np.float32]]] = {}
+        self._skin_corners: F64 | None = None
+        self._kept: dict[str, tuple[int, F32]] = {}
 
-    def inside(self, start: int, stop: int) -> NDArray[np.uint8]:
+    def inside(self, start: int, stop: int) -> U8:
         """Which voxels of the layers start <= k < stop lie in the domain."""
         from sppm_pipeline.method.part.inside import inside_layers, prepare_inside
 
@@ -73,7 +67,7 @@ class DomainSampler:
         first, _, block = self._voted
         return block[start - first : stop - first].copy()
 
-    def inside_bits(self, start: int, stop: int) -> NDArray[np.uint64]:
+    def inside_bits(self, start: int, stop: int) -> U64:
         """`inside` as bits, (stop - start, ny, words), see `services.bit_rows`."""
         from sppm_pipeline.method.part.inside import prepare_inside
         from sppm_pipeline.method.part.ray_crossings import Scan
@@ -86,21 +80,21 @@ class DomainSampler:
             return scan_bits(self._scan, start, stop)
         return pack(self.inside(start, stop))
 
-    def distance(self, start: int, stop: int) -> NDArray[np.float32]:
+    def distance(self, start: int, stop: int) -> F32:
         """Signed distance from the domain in the layers start <= k < stop, mm."""
         return self._in_blocks("domain", start, stop)
 
-    def skin_distance(self, start: int, stop: int) -> NDArray[np.float32]:
+    def skin_distance(self, start: int, stop: int) -> F32:
         """Distance from the triangles that have a skin, without a sign, in the layers start <= k < stop, mm."""
         return self._in_blocks("skin", start, stop)
 
-    def add_skin(self, start: int, inside: NDArray[np.uint8], solid: NDArray[np.uint8]) -> None:
+    def add_skin(self, start: int, inside: U8, solid: U8) -> None:
         """Make solid what is inside and within the skin of its triangles, in layers from `start` on; in place."""
         from sppm_pipeline.method.part.chosen_faces import add_skin_on
 
         add_skin_on(self._chosen(), self._world, start, self._skin_mm, inside, solid)
 
-    def _in_blocks(self, what: str, start: int, stop: int) -> NDArray[np.float32]:
+    def _in_blocks(self, what: str, start: int, stop: int) -> F32:
         """Distances in layers start <= k < stop.
 
         Each is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
@@ -119,12 +113,12 @@ class DomainSampler:
             out[low - start : high - start] = self._kept[what][1][low - first : high - first]
         return out
 
-    def _skin_distance(self, first: int, last: int) -> NDArray[np.float32]:
+    def _skin_distance(self, first: int, last: int) -> F32:
         from sppm_pipeline.method.part.signed_distance import distance_layers
 
         return distance_layers(self._chosen(), self._world, first, last, max(self._world.spacing) + self._skin_mm)
 
-    def _signed_distance(self, first: int, last: int) -> NDArray[np.float32]:
+    def _signed_distance(self, first: int, last: int) -> F32:
         from sppm_pipeline.method.part.signed_distance import distance_layers, reach_bare_borders
 
         spacing = self._world.spacing
@@ -154,7 +148,7 @@ class DomainSampler:
                 self._normals = np.ascontiguousarray(self._normals[outer.owners])
         return grid_crossings(self._corners(), self._normals, self._world, start, stop)
 
-    def _chosen(self) -> NDArray[np.float64]:
+    def _chosen(self) -> F64:
         if self._skin_corners is None:
             outer, chosen = self._domain.outer_surface, self._skin_faces
             if outer is not None and chosen is not None:
@@ -162,7 +156,7 @@ class DomainSampler:
             self._skin_corners = np.ascontiguousarray(self._corners()[chosen])
         return self._skin_corners
 
-    def _corners(self) -> NDArray[np.float64]:
+    def _corners(self) -> F64:
         """Corners of the triangles, or of the pieces of them that are surface where shells overlap."""
         if self._triangles is None:
             outer = self._domain.outer_surface

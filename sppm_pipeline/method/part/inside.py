@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.part.ray_crossings import Scan, prepare_scan
 from sppm_pipeline.method.part.scanline import Occupancy, ThreeAxisScan, prepare_three_axis, scan_layers, vote_layers
@@ -26,7 +26,7 @@ PROBED = 48
 class InsideTest(NamedTuple):
     """The result of `inside_test`."""
 
-    faces: NDArray[np.int32]  # (m, 3), wound outwards
+    faces: I32  # (m, 3), wound outwards
     turned: int  # triangles that were turned
     method: Method
     closed: bool  # they bound a solid; then nothing is undecided

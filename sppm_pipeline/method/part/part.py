@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.capsules import depths_in_capsules
 from sppm_pipeline.method.part.domain_sampler import DomainSampler
 from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.services.arrays import F32, I32, U8, U64, Bools
+from sppm_pipeline.services.arrays import F32, F64, I32, U8, U64, Bools
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
@@ -65,8 +64,8 @@ class Part(WrappedField):
     islands: str = "auto"
     inside: Method | None = None
     drains: tuple[tuple[float, ...], ...] = ()
-    skin_faces: NDArray[np.int32] | None = None
-    fills: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
+    skin_faces: I32 | None = None
+    fills: F64 = field(default_factory=lambda: np.zeros((0, 7)))
     border: Border | None = None
 
     def __post_init__(self) -> None:

@@ -7,7 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+from sppm_pipeline.services.arrays import F64, I32
+
+Mesh = tuple[F64, I32]
 Point = tuple[float, float, float]
 
 
@@ -24,11 +26,11 @@ def box_mesh(center: Point, size: Point) -> Mesh:
     return corners * np.asarray(size) + np.asarray(center), _split(quads)
 
 
-def _split(quads: NDArray[np.integer]) -> NDArray[np.int32]:
+def _split(quads: NDArray[np.integer]) -> I32:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
 
 
-def _wrap(rows: int, columns: int) -> NDArray[np.int32]:
+def _wrap(rows: int, columns: int) -> I32:
     """Triangles of a closed grid of rows x columns vertices, both directions periodic."""
     i, j = (v.ravel() for v in np.indices((rows, columns)))
     right, up = (j + 1) % columns, (i + 1) % rows
@@ -99,7 +101,7 @@ def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, si
     return points.reshape(-1, 3) + np.asarray(center), _wrap(segments, sides)[:, ::-1].copy()
 
 
-def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points: int) -> NDArray[np.float64]:
+def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points: int) -> F64:
     """A closed curve (points, 3), `turns[0]` times around the z axis and `turns[1]` times around the torus' ring.
 
     It lies on a torus around the origin whose ring has `radius` and whose tube has `swing`. The turns have no common

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.services.arrays import F64, I32, I64
@@ -43,13 +43,13 @@ def as_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[F64, I32]:
 class Scan(NamedTuple):
     """A mesh made ready for scanning; coordinates are in the order ray, row, layer."""
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    vertices: F64
+    faces: I32
     # (chunks + 1,); the triangles that may cut the layers of chunk c are listed[starts[c] : starts[c + 1]]
-    starts: NDArray[np.int64]
-    listed: NDArray[np.int32]
-    origin: NDArray[np.float64]  # of the samples, as the spacing
-    spacing: NDArray[np.float64]
+    starts: I64
+    listed: I32
+    origin: F64  # of the samples, as the spacing
+    spacing: F64
     shape: tuple[int, int, int]  # samples along ray, row, layer
 
 

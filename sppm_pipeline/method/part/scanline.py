@@ -13,9 +13,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.part.ray_crossings import Scan, prepare_scan, ray_crossings
+from sppm_pipeline.services.arrays import I64, U8, U64
 from sppm_pipeline.services.bit_rows import fill_span, unpack, words_of
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
@@ -24,7 +25,7 @@ from sppm_pipeline.services.jit.compiled import jit
 class Occupancy(NamedTuple):
     """Some layers of an occupancy."""
 
-    mask: NDArray[np.uint8]  # (nz, ny, nx), 1 inside
+    mask: U8  # (nz, ny, nx), 1 inside
     undecided: int = 0  # voxels about which rays or winding number are not of one mind
 
 
@@ -37,7 +38,7 @@ def scan_layers(scan: Scan, start: int, stop: int) -> Occupancy:
     return Occupancy(unpack(scan_bits(scan, start, stop), scan.shape[0]))
 
 
-def scan_bits(scan: Scan, start: int, stop: int) -> NDArray[np.uint64]:
+def scan_bits(scan: Scan, start: int, stop: int) -> U64:
     """The mask of `scan_layers` as bits, (stop - start, ny, words), see `services.bit_rows`."""
     n_ray, n_row, n_layer = scan.shape
     if not 0 <= start <= stop <= n_layer:
@@ -48,7 +49,7 @@ def scan_bits(scan: Scan, start: int, stop: int) -> NDArray[np.uint64]:
     return bits
 
 
-def add_ballots(scan: Scan, start: int, stop: int, ray_start: int, out: NDArray[np.uint8]) -> None:
+def add_ballots(scan: Scan, start: int, stop: int, ray_start: int, out: U8) -> None:
     """Count the votes of both ends of each ray, in layers start <= k < stop along the third axis of the scan.
 
     To `out` (stop - start, rows, samples from `ray_start` on) two are added where both ends say inside, and one where
@@ -60,7 +61,7 @@ def add_ballots(scan: Scan, start: int, stop: int, ray_start: int, out: NDArray[
 
 
 @jit
-def _add_ballots(starts: NDArray[np.int64], keys: NDArray[np.int64], ray_start: int, out: NDArray[np.uint8]) -> None:
+def _add_ballots(starts: I64, keys: I64, ray_start: int, out: U8) -> None:
     _, n_row, width = out.shape
     for r in range(starts.size - 1):
         row = out[r // n_row, r % n_row]
@@ -83,7 +84,7 @@ def _add_ballots(starts: NDArray[np.int64], keys: NDArray[np.int64], ray_start: 
 
 
 @jit
-def _fill_bits(starts: NDArray[np.int64], keys: NDArray[np.int64], width: int, out: NDArray[np.uint64]) -> None:
+def _fill_bits(starts: I64, keys: I64, width: int, out: U64) -> None:
     """Set what the counts from both ends of the ray call inside."""
     for r in range(starts.size - 1):
         total = 0

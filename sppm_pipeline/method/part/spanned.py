@@ -41,7 +41,7 @@ class SpannedScan(NamedTuple):
     scan: Scan  # of the mesh and the triangles that span its holes
     mesh: Dipoles
     spans: Dipoles | None  # None if there are no holes
-    areas: NDArray[np.float64]  # area of the spanning triangles below each node
+    areas: F64  # area of the spanning triangles below each node
     grid: Grid
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F32, F64
 
 
 class LevelFit(NamedTuple):
@@ -25,7 +26,7 @@ class LevelFit(NamedTuple):
     porosity: float  # share of the samples with G >= C; off by at most half a sample, unless many are equal
 
 
-def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target: float) -> LevelFit:
+def level_for_porosity(samples: F32 | F64, target: float) -> LevelFit:
     """Level at which a fraction of samples of the kernel sum G (not G - C), of equal weight, is void (G >= C).
 
     It lies halfway between two neighboring sample values, so that rounding does not flip a voxel. A DesignError says
@@ -41,7 +42,7 @@ def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], targe
     return found
 
 
-def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target: float) -> LevelFit:
+def cut_for_porosity(samples: F32 | F64, target: float) -> LevelFit:
     """The value, of any sign, at which to cut any field for a requested fraction of void; see `level_for_porosity`."""
     if not 0.0 < target < 1.0:
         raise DesignError(f"a porosity of {target} can't be reached by a level", hint="give a value between 0 and 1")

@@ -9,10 +9,10 @@ sampling in high dimensions"; Quinn et al. 2009 for the name).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.sampling.cell_list import CellList, add_point, axis_gap, is_free, next_uniform
 from sppm_pipeline.method.sampling.voxels import Voxels, all_voxels, halved
+from sppm_pipeline.services.arrays import F64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
 _SPOT = (0.0, 0.0, 0.0)
@@ -23,9 +23,7 @@ _DARTS_PER_VOXEL = 1.0
 
 
 @jit
-def _dart(
-    stream: NDArray[np.uint64], x: float, y: float, z: float, edge: tuple[float, float, float]
-) -> tuple[float, float, float]:
+def _dart(stream: U64, x: float, y: float, z: float, edge: tuple[float, float, float]) -> tuple[float, float, float]:
     """A spot in the box with the low corner (x, y, z) and the edges `edge`."""
     if edge[0] > 0.0:
         x += edge[0] * next_uniform(stream)
@@ -37,16 +35,7 @@ def _dart(
 
 
 @jit
-def _add_dart(
-    cells: CellList,
-    x: float,
-    y: float,
-    z: float,
-    side: NDArray[np.float64],
-    corner: NDArray[np.float64],
-    family: int,
-    member: int,
-) -> bool:
+def _add_dart(cells: CellList, x: float, y: float, z: float, side: F64, corner: F64, family: int, member: int) -> bool:
     """Add a point if its spot is free."""
     # The sum may round up to the open end of the box, which on a periodic axis is the other name of its start.
     for axis, value in ((0, x), (1, y), (2, z)):
@@ -61,9 +50,9 @@ def _add_dart(
 @jit
 def throw_darts(
     cells: CellList,
-    stream: NDArray[np.uint64],
-    lower: NDArray[np.float64],
-    side: NDArray[np.float64],
+    stream: U64,
+    lower: F64,
+    side: F64,
     wanted: int | np.int64,
     budget: int | np.int64,
     family: int,
@@ -87,13 +76,7 @@ def throw_darts(
 
 @jit
 def fill_active_voxels(
-    cells: CellList,
-    stream: NDArray[np.uint64],
-    lower: NDArray[np.float64],
-    side: NDArray[np.float64],
-    wanted: int | np.int64,
-    family: int,
-    member: int,
+    cells: CellList, stream: U64, lower: F64, side: F64, wanted: int | np.int64, family: int, member: int
 ) -> int:
     """Add up to `wanted` points to a box; fewer only when no free spot is left. Return how many were added.
 

@@ -21,7 +21,6 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels
@@ -30,6 +29,7 @@ from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_c
 from sppm_pipeline.method.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE
 from sppm_pipeline.method.sampling.graded_blocks import NODES, density_means, is_free, metric_at, value_at
 from sppm_pipeline.method.tiling.lattice import INTERIOR, hash_places
+from sppm_pipeline.services.arrays import F64, I8, I64, U64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.metric import determinants, semi_axes
 from sppm_pipeline.services.threads import ordered_map
@@ -44,7 +44,7 @@ only blocks that are really full take so many; twice as many only delay the erro
 _BLOCK_PORE = 0
 
 
-def block_colors(shape: tuple[int, int, int], periodic: bool = False) -> NDArray[np.int8]:
+def block_colors(shape: tuple[int, int, int], periodic: bool = False) -> I8:
     """Colors of the blocks of a lattice, (nx, ny, nz), from 0 on in the order in which they are thrown.
 
     Along an axis that repeats after an odd number of blocks the last one is neither even nor odd, which takes more than
@@ -61,7 +61,7 @@ def block_colors(shape: tuple[int, int, int], periodic: bool = False) -> NDArray
     return rank[np.ix_(*parity)]
 
 
-def block_quotas(mask: NDArray[np.bool_], mean: float, density: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
+def block_quotas(mask: Bools, mean: float, density: F64 | None = None) -> I64:
     """Numbers of pores of the blocks, (nx, ny, nz): whole, `mean` on average, the rest carried on in the order z, y, x.
 
     With a `density` (NODES nx + 1, NODES ny + 1, NODES nz + 1), `mean` is that of a block where the density is 1, and a
@@ -94,15 +94,15 @@ def spacing_at_share(mean: float, share: float) -> float:
 
 def throw_blocks(
     seed: int,
-    quotas: NDArray[np.int64],
+    quotas: I64,
     spacing: float,
     *,
     periodic: bool = False,
-    density: NDArray[np.float64] | None = None,
-    metric: NDArray[np.float64] | None = None,
-    before: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None,
+    density: F64 | None = None,
+    metric: F64 | None = None,
+    before: tuple[F64, I64] | None = None,
     threads: int = 1,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[F64, I64]:
     """Throw `quotas` (nx, ny, nz) pores into the blocks of a lattice; the result does not depend on the threads.
 
     Two pores keep `spacing` block edges, at most 1; with a `density` > 0 at the nodes of `graded_blocks`, which is one
@@ -149,7 +149,7 @@ def throw_blocks(
     naive = math.inf if graded else NAIVE_SHARE * box_capacity(1.0, spacing, True)
     missing = np.zeros(quotas.size, np.int64)
 
-    def throw(blocks: NDArray[np.int64]) -> None:
+    def throw(blocks: I64) -> None:
         cells = empty_cell_list(rows, widest, np.zeros(3), np.ones(3), wraps.tolist())
         lattice = (blocks, np.array(shape), periodic, wraps, streams, first, centers, *old)
         _throw_in_turn(cells, *lattice, of_darts, of_spacings, of_metrics, spacing, naive, missing)
@@ -186,21 +186,21 @@ def throw_blocks(
 @jit
 def _throw_in_turn(
     cells: CellList,
-    blocks: NDArray[np.int64],
-    shape: NDArray[np.int64],
+    blocks: I64,
+    shape: I64,
     periodic: bool,
-    wraps: NDArray[np.bool_],
-    streams: NDArray[np.uint64],
-    first: NDArray[np.int64],
-    centers: NDArray[np.float64],
-    old_centers: NDArray[np.float64],
-    old_first: NDArray[np.int64],
-    nodes: NDArray[np.float64] | None,
-    packing: NDArray[np.float64] | None,
-    metric_nodes: NDArray[np.float64] | None,
+    wraps: Bools,
+    streams: U64,
+    first: I64,
+    centers: F64,
+    old_centers: F64,
+    old_first: I64,
+    nodes: F64 | None,
+    packing: F64 | None,
+    metric_nodes: F64 | None,
     spacing: float,
     naive: float,
-    missing: NDArray[np.int64],
+    missing: I64,
 ) -> None:
     """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`.
 
@@ -269,14 +269,14 @@ def _throw_in_turn(
 def list_neighbors(
     cells: CellList,
     block: int | np.int64,
-    shape: NDArray[np.int64],
+    shape: I64,
     periodic: bool,
-    wraps: NDArray[np.bool_],
-    streams: NDArray[np.uint64],
-    first: NDArray[np.int64],
-    centers: NDArray[np.float64],
-    old_centers: NDArray[np.float64],
-    old_first: NDArray[np.int64],
+    wraps: Bools,
+    streams: U64,
+    first: I64,
+    centers: F64,
+    old_centers: F64,
+    old_first: I64,
 ) -> None:
     """Empty the cell list and add all pores that lie within the spacing around a block."""
     cells.used[0] = 0
@@ -306,7 +306,7 @@ def list_neighbors(
 
 
 @jit
-def _add_near(cells: CellList, centers: NDArray[np.float64], row: int, shift: tuple[int, int, int]) -> None:
+def _add_near(cells: CellList, centers: F64, row: int, shift: tuple[int, int, int]) -> None:
     """Add the point of a neighboring block if it lies within the spacing around this one."""
     x, y, z = centers[row, 0] + shift[0], centers[row, 1] + shift[1], centers[row, 2] + shift[2]
     low, high = -cells.reach, 1.0 + cells.reach

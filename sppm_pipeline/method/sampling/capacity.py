@@ -17,9 +17,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F64
 
 # centers per l^d at the jamming limits above: 0.7476, 0.5470 / (pi / 4), 0.3841 / (pi / 6)
 _JAMMED = {0: 1.0, 1: 0.7476, 2: 0.6966, 3: 0.7336}
@@ -146,7 +147,7 @@ def check_capacity(
     return count / capacity if count else 0.0
 
 
-def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True, True)) -> NDArray[np.float64]:
+def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True, True)) -> F64:
     """Distance of each point to its nearest neighbor, (n,) in cell sizes; infinite for a single point without images.
 
     Periodic axes have period 1; a point's own images, at distance 1, are neighbors, too.
@@ -161,7 +162,7 @@ def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True,
     if len(folded) < 2:
         return np.full(len(folded), own_image)
     distances, _ = cKDTree(folded, boxsize=np.where(wraps, 1.0, 0.0)).query(folded, k=2)
-    nearest: NDArray[np.float64] = np.minimum(distances[:, 1], own_image)
+    nearest: F64 = np.minimum(distances[:, 1], own_image)
     return nearest
 
 

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
 # A kernel draws one uniform number after another from one word of state, so that no chunk size, buffer or thread count
@@ -29,13 +29,13 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
-def new_stream(rng: np.random.Generator, number: int = 1) -> NDArray[np.uint64]:
+def new_stream(rng: np.random.Generator, number: int = 1) -> U64:
     """States (number,) of streams whose starts are drawn from `rng` (one 64-bit draw each)."""
     return rng.integers(0, 2**64, size=number, dtype=np.uint64)
 
 
 @jit
-def next_uniform(stream: NDArray[np.uint64]) -> float:
+def next_uniform(stream: U64) -> float:
     """Advance `stream` and return a number in [0, 1) with 53 random bits."""
     stream[0] += _STEP
     word = stream[0]
@@ -53,21 +53,19 @@ _ROUNDING = 1e-14
 class CellList(NamedTuple):
     """Points sorted into buckets; `used[0]` of the rows of `points` are filled."""
 
-    points: NDArray[np.float64]  # (capacity, 3)
-    family: NDArray[np.int64]  # (capacity,)
-    member: NDArray[np.int64]  # (capacity,)
-    following: NDArray[np.int64]  # (capacity,) next point of the same bucket, -1 at the end
-    first: NDArray[np.int64]  # (nz, ny, nx) first point of each bucket, -1 when empty
-    used: NDArray[np.int64]  # (1,)
-    origin: NDArray[np.float64]  # (3,) lower corner of the grid
-    width: NDArray[np.float64]  # (3,) bucket edges
-    period: NDArray[np.float64]  # (3,) 1 along periodic axes, otherwise infinite
+    points: F64  # (capacity, 3)
+    family: I64  # (capacity,)
+    member: I64  # (capacity,)
+    following: I64  # (capacity,) next point of the same bucket, -1 at the end
+    first: I64  # (nz, ny, nx) first point of each bucket, -1 when empty
+    used: I64  # (1,)
+    origin: F64  # (3,) lower corner of the grid
+    width: F64  # (3,) bucket edges
+    period: F64  # (3,) 1 along periodic axes, otherwise infinite
     reach: float  # spacing kept between points
 
 
-def empty_cell_list(
-    capacity: int, spacing: float, lower: NDArray[np.float64], upper: NDArray[np.float64], periodic: Sequence[bool]
-) -> CellList:
+def empty_cell_list(capacity: int, spacing: float, lower: F64, upper: F64, periodic: Sequence[bool]) -> CellList:
     """A cell list for `capacity` points, covering the box and, along axes that are not periodic, one spacing around it.
 
     The spacing is the distance to be kept, at most 1 when an axis is periodic (period 1); spots are asked for between
@@ -127,7 +125,7 @@ def add_point(cells: CellList, x: float, y: float, z: float, family: int, member
 
 
 @jit
-def add_points(cells: CellList, points: NDArray[np.float64], family: int, member: int) -> None:
+def add_points(cells: CellList, points: F64, family: int, member: int) -> None:
     """Add the points (n, 3) without looking at the spacing."""
     for row in range(points.shape[0]):
         add_point(cells, points[row, 0], points[row, 1], points[row, 2], family, member)

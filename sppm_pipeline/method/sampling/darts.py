@@ -12,12 +12,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.method.sampling.capacity import box_capacity, check_capacity
 from sppm_pipeline.method.sampling.cell_list import add_points, empty_cell_list, new_stream
+from sppm_pipeline.services.arrays import F64, U64
 
 # Fraction of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
 NAIVE_SHARE = 0.75
@@ -29,7 +30,7 @@ _PORE, _OBSTACLE = 0, -1
 
 
 def throw(
-    rng: np.random.Generator | NDArray[np.uint64],
+    rng: np.random.Generator | U64,
     count: int | None,
     spacing: float,
     lower: ArrayLike,
@@ -40,7 +41,7 @@ def throw(
     obstacle_images: bool = True,
     share: float | None = None,
     attempts: int = 20,
-) -> NDArray[np.float64]:
+) -> F64:
     """Throw pores that keep `spacing` from each other and from the obstacles.
 
     Parameters
@@ -118,7 +119,7 @@ def throw(
 
 
 def wanted_pores(
-    count: int | None, share: float | None, spacing: float, side: NDArray[np.float64], wraps: Sequence[bool]
+    count: int | None, share: float | None, spacing: float, side: F64, wraps: Sequence[bool]
 ) -> tuple[int, int, float]:
     """Number of pores to throw, the number of rows that certainly holds them, and the capacity of the box.
 
@@ -152,13 +153,8 @@ def wanted_pores(
 
 
 def obstacles_around(
-    obstacles: ArrayLike | None,
-    lower: NDArray[np.float64],
-    side: NDArray[np.float64],
-    spacing: float,
-    wraps: Sequence[bool],
-    images: bool,
-) -> NDArray[np.float64]:
+    obstacles: ArrayLike | None, lower: F64, side: F64, spacing: float, wraps: Sequence[bool], images: bool
+) -> F64:
     """Obstacles (m, 3) that can matter to the box: folded along periodic axes, repeated along others where asked."""
     if obstacles is None:
         return np.empty((0, 3))

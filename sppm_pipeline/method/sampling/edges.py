@@ -31,7 +31,7 @@ from sppm_pipeline.method.sampling.cell_list import add_points, empty_cell_list,
 from sppm_pipeline.method.sampling.darts import throw
 from sppm_pipeline.method.sampling.faces import FILLED, face_counts, throw_in_turn
 from sppm_pipeline.method.sampling.many import patterns_apart
-from sppm_pipeline.services.arrays import distinct
+from sppm_pipeline.services.arrays import F64, I64, Bools, distinct
 
 MAX_GAP = math.sqrt(3.0)
 """Widest distance of two sites, spacings: what keeps one spacing from both lies half a spacing away from the edge."""
@@ -127,7 +127,7 @@ def homogeneous_design(
     return (float(total) if total is not None else high), spacing
 
 
-def edge_sites(rng: np.random.Generator, spacing: float) -> NDArray[np.float64]:
+def edge_sites(rng: np.random.Generator, spacing: float) -> F64:
     """Sites of an edge from 0 to 1, (m,) float64, ascending, for a spacing in (0, 1]; the first is the corner at 0."""
     number = intervals(spacing)
     spare = 1.0 - number * spacing
@@ -150,7 +150,7 @@ def edge_sites(rng: np.random.Generator, spacing: float) -> NDArray[np.float64]:
     return np.concatenate([[0.0], np.cumsum(widths)[:-1]])
 
 
-def chosen_sites(rng: np.random.Generator, sites: int, colors: int, share: float) -> NDArray[np.bool_]:
+def chosen_sites(rng: np.random.Generator, sites: int, colors: int, share: float) -> Bools:
     """Mask (colors, sites) of the sites that carry a pore in each color: a share of all, as even as possible."""
     steps = np.floor(np.arange(sites * colors + 1) * share + rng.random())
     return rng.permuted(np.diff(steps).astype(bool).reshape(sites, colors), axis=1).T
@@ -166,7 +166,7 @@ def homogeneous_faces(
     met: int = 1,
     totals: Sequence[NDArray[np.integer]] | None = None,
     threads: int = 1,
-) -> list[list[NDArray[np.float64]]]:
+) -> list[list[F64]]:
     """Throw the pores of all face patterns, with those of the edges and corners that they own.
 
     `total` are the pores of one cell, `colors` the numbers of patterns perpendicular to x, y, z, and `met` the patterns
@@ -205,10 +205,10 @@ def _graded(
     rng: np.random.Generator,
     total: float,
     spacing: float,
-    sites: list[NDArray[np.float64]],
+    sites: list[F64],
     totals: Sequence[NDArray[np.integer]],
     met: int,
-) -> list[list[NDArray[np.float64]]]:
+) -> list[list[F64]]:
     """Patterns of cells with different numbers of pores, packed alike: each with a spacing of its own."""
     border, everywhere = spacing / math.sqrt(2.0), np.unique(np.concatenate(sites), axis=0)
     patterns = []
@@ -227,7 +227,7 @@ def _graded(
     return patterns
 
 
-def _sites_by_owner(rng: np.random.Generator, spacing: float) -> list[NDArray[np.float64]]:
+def _sites_by_owner(rng: np.random.Generator, spacing: float) -> list[F64]:
     """The sites on the edges and the corner that the patterns of each axis own, (m, 3) each."""
     owned = []
     for axis in range(3):
@@ -239,12 +239,8 @@ def _sites_by_owner(rng: np.random.Generator, spacing: float) -> list[NDArray[np
 
 
 def _together(
-    rng: np.random.Generator,
-    wanted: NDArray[np.int64],
-    spacing: float,
-    colors: tuple[int, int, int],
-    sites: NDArray[np.float64],
-) -> list[list[NDArray[np.float64]]]:
+    rng: np.random.Generator, wanted: I64, spacing: float, colors: tuple[int, int, int], sites: F64
+) -> list[list[F64]]:
     """Patterns in turn, each clear of all sites and of the patterns of the two other axes."""
     stream, rows, first = new_stream(rng), int(wanted.sum()), len(sites)
     best = 0
@@ -263,13 +259,8 @@ def _together(
 
 
 def _apart(
-    rng: np.random.Generator,
-    wanted: NDArray[np.int64],
-    spacing: float,
-    colors: tuple[int, int, int],
-    sites: NDArray[np.float64],
-    threads: int,
-) -> list[list[NDArray[np.float64]]]:
+    rng: np.random.Generator, wanted: I64, spacing: float, colors: tuple[int, int, int], sites: F64, threads: int
+) -> list[list[F64]]:
     """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
     border = spacing / math.sqrt(2.0)
     if border >= 0.5:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.cell_list import (
@@ -22,6 +22,7 @@ from sppm_pipeline.method.sampling.cell_list import (
     search_range,
     wrapped,
 )
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 # The constants of the paper: the weight's exponent is 8 (three squarings below); neighbors nearer than a fraction
@@ -30,9 +31,7 @@ _BETA, _GAMMA = 0.65, 1.5
 
 
 @jit
-def _sift(
-    heap: NDArray[np.int64], place: NDArray[np.int64], weight: NDArray[np.float64], size: int | np.int64, slot: int
-) -> None:
+def _sift(heap: I64, place: I64, weight: F64, size: int | np.int64, slot: int) -> None:
     """Restore the order of a heap with the largest weight on top, after the weight at `slot` changed."""
     row = heap[slot]
     while slot > 0:
@@ -57,13 +56,7 @@ def _sift(
 
 @jit
 def _spread(
-    cells: CellList,
-    row: int,
-    nearest: float,
-    weight: NDArray[np.float64],
-    heap: NDArray[np.int64],
-    place: NDArray[np.int64],
-    size: int | np.int64,
+    cells: CellList, row: int, nearest: float, weight: F64, heap: I64, place: I64, size: int | np.int64
 ) -> None:
     """Pass over the neighbors of a point: sum their weights into it (size 0), or take its weight from them.
 
@@ -101,7 +94,7 @@ def _spread(
 
 
 @jit
-def _eliminate(cells: CellList, count: int, nearest: float) -> NDArray[np.int64]:
+def _eliminate(cells: CellList, count: int, nearest: float) -> I64:
     """Rows of all points: the `count` that are left, then those taken away, the last one first."""
     size = cells.used[0]
     heap, place = np.arange(size), np.arange(size)
@@ -131,7 +124,7 @@ def elimination_order(
     upper: ArrayLike,
     *,
     periodic: Sequence[bool] = (False, False, False),
-) -> NDArray[np.int64]:
+) -> I64:
     """Remove the point with the largest weight, again and again, until `count` of the points (m, 3) are left.
 
     Returns rows of `points`, (m,): the `count` that are left, ascending, then those taken away, the last one first.
@@ -167,7 +160,7 @@ def eliminate(
     *,
     periodic: Sequence[bool] = (False, False, False),
     oversampling: float = 5.0,
-) -> NDArray[np.float64]:
+) -> F64:
     """Exactly `count` points with a spacing as large as elimination makes it, some 0.7 of the densest packing's.
 
     Starts from ``oversampling * count`` random points, at least 1 times. Equal coordinates of `lower` and `upper` along

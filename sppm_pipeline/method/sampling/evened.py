@@ -18,10 +18,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import ordered_map
 
@@ -47,21 +47,21 @@ _MARGIN = 1e-3  # soft spheres are so much larger than the spacing, as they lose
 class _Potential(NamedTuple):
     """Energy of a pair, and force over distance, at equal steps of the squared distance from 0 to ``reach^2``."""
 
-    energy: NDArray[np.float64]
-    force: NDArray[np.float64]
+    energy: F64
+    force: F64
     reach: float
 
 
 def even_out(
-    points: NDArray[np.float64],
-    moves: NDArray[np.bool_],
-    room: NDArray[np.bool_],
+    points: F64,
+    moves: Bools,
+    room: Bools,
     periodic: bool,
     density: float,
     stealth: float,
     spacing: float,
     threads: int = 1,
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[F64, float]:
     """Move the points that may (`moves`) until their structure factor is small at long waves.
 
     Points (n, 3) are in cell sizes from the low corner of the lattice, keep the spacing, and stay in the blocks `room`
@@ -104,9 +104,9 @@ def even_out(
     return points, 1 + float(energy[moves].mean()) - density * integral
 
 
-def _shortened(step: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+def _shortened(step: F64, longest: float) -> F64:
     length = np.sqrt((step**2).sum(1, keepdims=True))
-    shortened: NDArray[np.float64] = step * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+    shortened: F64 = step * np.minimum(1.0, longest / np.maximum(length, 1e-300))
     return shortened
 
 
@@ -136,13 +136,11 @@ def _soft_spheres(diameter: float, reach: float) -> _Potential:
 class _Grid:
     """Sums over pairs of points of a lattice, and moves within it."""
 
-    def __init__(self, room: NDArray[np.bool_], periodic: bool, threads: int) -> None:
+    def __init__(self, room: Bools, periodic: bool, threads: int) -> None:
         self._room, self._periodic, self._threads = room, periodic, threads
         self._shape = np.array(room.shape)
 
-    def sums(
-        self, points: NDArray[np.float64], potential: _Potential
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sums(self, points: F64, potential: _Potential) -> tuple[F64, F64]:
         """For each point the energy of all its pairs, (n,), and the force on it, (n, 3)."""
         # buckets of half the reach or more, and not many more of them than points
         parts = max(1, min(int(2 / potential.reach), int(2 * (len(points) / self._room.size) ** (1 / 3))))
@@ -165,9 +163,7 @@ class _Grid:
             pass
         return energy, force
 
-    def moved(
-        self, points: NDArray[np.float64], step: NDArray[np.float64], moves: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
+    def moved(self, points: F64, step: F64, moves: Bools) -> F64:
         """Points after a step, those that would leave the room where they were."""
         target = points + step
         if self._periodic:
@@ -181,19 +177,19 @@ class _Grid:
 
 @jit
 def _pair_sums(
-    points: NDArray[np.float64],
-    first: NDArray[np.int64],
-    buckets: NDArray[np.int64],
+    points: F64,
+    first: I64,
+    buckets: I64,
     parts: float,
     periodic: bool,
-    energies: NDArray[np.float64],
-    forces: NDArray[np.float64],
+    energies: F64,
+    forces: F64,
     reach: float,
-    order: NDArray[np.int64],
+    order: I64,
     start: int,
     stop: int,
-    energy: NDArray[np.float64],
-    force: NDArray[np.float64],
+    energy: F64,
+    force: F64,
 ) -> None:
     """Sums for the points ``start`` to ``stop`` of those sorted by bucket, to the places given by `order`."""
     around = int(np.ceil(reach * parts))
@@ -240,7 +236,7 @@ def _pair_sums(
         force[order[i], 0], force[order[i], 1], force[order[i], 2] = fx, fy, fz
 
 
-def near_the_rim(points: NDArray[np.float64], room: NDArray[np.bool_], width: float) -> NDArray[np.bool_]:
+def near_the_rim(points: F64, room: Bools, width: float) -> Bools:
     """Which points have a block that is not there within about `width`, at most a block."""
     padded = np.pad(room, 1)
     found = np.zeros(len(points), np.bool_)

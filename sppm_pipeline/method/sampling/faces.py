@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.method.sampling.capacity import box_capacity, check_capacity, face_capacity
 from sppm_pipeline.method.sampling.cell_list import CellList, empty_cell_list, new_stream, next_uniform
+from sppm_pipeline.services.arrays import F64, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
 FILLED = 0.95
@@ -77,7 +77,7 @@ def split_between_faces_and_interior(
 _DARTS = 150
 
 
-def face_counts(total: int, colors: int) -> NDArray[np.int64]:
+def face_counts(total: int, colors: int) -> I64:
     """Pores of each pattern, (3, colors), when the three faces of a cell share `total` pores as evenly as possible.
 
     Where the total is no multiple of three, the axes that get one pore more rotate with the color. A cell whose faces
@@ -90,9 +90,7 @@ def face_counts(total: int, colors: int) -> NDArray[np.int64]:
 
 
 @jit
-def throw_in_turn(
-    cells: CellList, stream: NDArray[np.uint64], margin: float, wanted: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def throw_in_turn(cells: CellList, stream: U64, margin: float, wanted: I64) -> I64:
     """Throw the patterns pore by pore; return how many of the `wanted` (3, colors) pores each one got.
 
     A pattern that is full before its count is reached gives up; the others go on, so that the best count is known.
@@ -141,7 +139,7 @@ def mirrored_faces(
     margin: float | None = None,
     total: int | None = None,
     attempts: int = 20,
-) -> list[list[NDArray[np.float64]]]:
+) -> list[list[F64]]:
     """Throw the pore patterns of the faces of a cell, or of a set of cells with colored faces.
 
     The counts are `count_per_face` for each pattern, or `total` for the three faces of a cell, spread by `face_counts`.
@@ -185,9 +183,7 @@ def mirrored_faces(
     return _thrown(rng, wanted, spacing, border, max(1, attempts))
 
 
-def _thrown(
-    rng: np.random.Generator, wanted: NDArray[np.int64], spacing: float, margin: float, attempts: int
-) -> list[list[NDArray[np.float64]]]:
+def _thrown(rng: np.random.Generator, wanted: I64, spacing: float, margin: float, attempts: int) -> list[list[F64]]:
     stream = new_stream(rng)
     rows = int(wanted.sum())
     corner = np.zeros(3)

@@ -8,22 +8,22 @@ bent a curve would.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.sampling.cell_list import CellList, bucket_of, search_range, wrapped
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.jit.compiled import jit
 
 NODES = 4
 """Nodes along an edge of a block."""
 
 
-def density_means(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+def density_means(nodes: F64) -> F64:
     """Means over the blocks, (nx, ny, nz), of a density at nodes, whose power -1/3 is linear in between."""
     return _density_means(np.ascontiguousarray(nodes, np.float64) ** (-1 / 3))
 
 
 @jit
-def _density_means(spacings: NDArray[np.float64]) -> NDArray[np.float64]:
+def _density_means(spacings: F64) -> F64:
     """Means of the power -3 of trilinear functions: three points of Gauss along each axis between nodes."""
     nx, ny, nz = spacings.shape[0] // NODES, spacings.shape[1] // NODES, spacings.shape[2] // NODES
     out = np.zeros((nx, ny, nz))
@@ -49,7 +49,7 @@ def _density_means(spacings: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-def at_nodes(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def at_nodes(nodes: F64, points: F64) -> F64:
     """Values (n, m) at points (n, 3) of the lattice, linear between nodes (..., m) and constant beyond them."""
     place = np.clip(points * NODES, 0.0, np.array(nodes.shape[:3]) - 1.0)
     low = np.minimum(place.astype(np.int64), np.array(nodes.shape[:3]) - 2)
@@ -61,7 +61,7 @@ def at_nodes(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray
 
 
 @jit
-def value_at(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
+def value_at(nodes: F64, x: float, y: float, z: float) -> float:
     """A value at a place of the lattice, linear between nodes and constant beyond them."""
     px = min(max(x * NODES, 0.0), nodes.shape[0] - 1.0)
     py = min(max(y * NODES, 0.0), nodes.shape[1] - 1.0)
@@ -79,21 +79,14 @@ def value_at(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
 
 
 @jit
-def metric_at(nodes: NDArray[np.float64], x: float, y: float, z: float, out: NDArray[np.float64]) -> None:
+def metric_at(nodes: F64, x: float, y: float, z: float, out: F64) -> None:
     """Set the six entries of a metric to those at a place of the lattice."""
     for entry in range(6):
         out[entry] = value_at(nodes[..., entry], x, y, z)
 
 
 @jit
-def is_free(
-    cells: CellList,
-    spacings: NDArray[np.float64],
-    metrics: NDArray[np.float64] | None,
-    place: NDArray[np.float64],
-    own: float,
-    metric: NDArray[np.float64],
-) -> bool:
+def is_free(cells: CellList, spacings: F64, metrics: F64 | None, place: F64, own: float, metric: F64) -> bool:
     """True if all points are at least the mean of their spacing and `own` away; plainly, if there are no metrics."""
     nz, ny, nx = cells.first.shape
     wx, wy, wz = cells.period[0] == 1.0, cells.period[1] == 1.0, cells.period[2] == 1.0

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_cell_list
 from sppm_pipeline.method.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE, obstacles_around, throw, wanted_pores
+from sppm_pipeline.services.arrays import F64, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.threads import ordered_map
 
@@ -45,11 +45,11 @@ class Surrounding(NamedTuple):
         Where those of each box begin.
     """
 
-    points: NDArray[np.float64]
-    first: NDArray[np.int64]
-    piece: NDArray[np.int64]
-    shift: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    points: F64
+    first: I64
+    piece: I64
+    shift: I64
+    rows: I64
 
 
 def nothing_around(boxes: int) -> Surrounding:
@@ -59,19 +59,19 @@ def nothing_around(boxes: int) -> Surrounding:
 
 
 def throw_many(
-    streams: NDArray[np.uint64],
+    streams: U64,
     count: int | None,
     spacing: float,
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
+    lower: F64,
+    upper: F64,
     *,
     around: Surrounding,
-    obstacles: NDArray[np.float64] | None,
+    obstacles: F64 | None,
     obstacle_images: bool = False,
     share: float | None = None,
     attempts: int = 20,
     threads: int = 1,
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+) -> Iterator[tuple[F64, I64]]:
     """Throw pores into many boxes that do not repeat; arguments and errors as in `throw`, for all boxes.
 
     `streams` (boxes,) are the numbers that `throw` draws from its generator. Each box keeps the spacing from pores of
@@ -91,7 +91,7 @@ def throw_many(
     # in one array, as thousands of small ones would leave the memory in shreds; what is not written takes none
     room = np.empty((rows * len(streams), 3))
 
-    def thrown(box: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def thrown(box: int) -> tuple[F64, I64]:
         own = streams[box : box + _RUN].copy()
         cells = empty_cell_list(rows + len(everywhere) + most, spacing, low, low + side, wraps)
         centers, counts = room[rows * box : rows * (box + len(own))], np.empty(len(own), np.int64)
@@ -107,18 +107,18 @@ def throw_many(
 @jit
 def _throw(
     cells: CellList,
-    streams: NDArray[np.uint64],
+    streams: U64,
     box: int,
-    lower: NDArray[np.float64],
-    side: NDArray[np.float64],
+    lower: F64,
+    side: F64,
     wanted: int,
     naive: int,
     all_that_fit: bool,
     attempts: int,
-    everywhere: NDArray[np.float64],
+    everywhere: F64,
     around: Surrounding,
-    centers: NDArray[np.float64],
-    counts: NDArray[np.int64],
+    centers: F64,
+    counts: I64,
 ) -> int:
     """Throw into the boxes from `box` on; returns the number of rows of `centers` that were written."""
     used = 0
@@ -156,9 +156,7 @@ def _throw(
 
 
 @jit
-def _add_near(
-    cells: CellList, around: Surrounding, row: int, lower: NDArray[np.float64], side: NDArray[np.float64]
-) -> None:
+def _add_near(cells: CellList, around: Surrounding, row: int, lower: F64, side: F64) -> None:
     """Add those pores of a piece that matter to the box."""
     shift = around.shift[row]
     for p in range(around.first[around.piece[row]], around.first[around.piece[row] + 1]):
@@ -171,15 +169,8 @@ def _add_near(
 
 
 def patterns_apart(
-    streams: NDArray[np.uint64],
-    wanted: NDArray[np.int64],
-    spacing: float,
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    *,
-    obstacles: NDArray[np.float64] | None = None,
-    threads: int = 1,
-) -> list[NDArray[np.float64]]:
+    streams: U64, wanted: I64, spacing: float, lower: F64, upper: F64, *, obstacles: F64 | None = None, threads: int = 1
+) -> list[F64]:
     """Face patterns, (wanted, 3) each, that need not look at each other, each as `throw` makes it.
 
     `streams` (n,) are the numbers that `throw` draws; `obstacles` (k, 3) repeat in every cell. Raises DesignError when
@@ -187,7 +178,7 @@ def patterns_apart(
     """
     around = np.zeros((0, 3)) if obstacles is None else obstacles
 
-    def thrown(one: int) -> NDArray[np.float64]:
+    def thrown(one: int) -> F64:
         return throw(streams[one : one + 1].copy(), int(wanted[one]), spacing, lower, upper, obstacles=around)
 
     if len(streams) < FEW:

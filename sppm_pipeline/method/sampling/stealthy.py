@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.structure_factor import (
@@ -25,6 +24,7 @@ from sppm_pipeline.method.sampling.structure_factor import (
     longest_waves,
     plane_waves,
 )
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
 TOLERANCE = 1e-12
@@ -41,12 +41,12 @@ _MARGIN = 3e-6
 class Surroundings(NamedTuple):
     """Box that points are moved in, and the points that do not move."""
 
-    lower: NDArray[np.float64]  # (3,) corners of the box that points are kept in; not looked at in a periodic cell
-    upper: NDArray[np.float64]
+    lower: F64  # (3,) corners of the box that points are kept in; not looked at in a periodic cell
+    upper: F64
     periodic: bool  # the box is the whole cell
-    fixed: NDArray[np.float64]  # (m, 3) points on the faces, seen by the waves, once for the whole cell
-    weight: NDArray[np.float64]  # (m,) share of the cells that they stand in
-    obstacles: NDArray[np.float64]  # (k, 3) points that the spacing is kept from, images included
+    fixed: F64  # (m, 3) points on the faces, seen by the waves, once for the whole cell
+    weight: F64  # (m,) share of the cells that they stand in
+    obstacles: F64  # (k, 3) points that the spacing is kept from, images included
 
 
 FREE = Surroundings(np.zeros(3), np.ones(3), True, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
@@ -69,7 +69,7 @@ def stealthy_waves(count: int, stealth: float) -> Waves:
 
 def throw_stealthy(
     rng: np.random.Generator, count: int, waves: Waves, spacing: float = 0.0, around: Surroundings = FREE
-) -> NDArray[np.float64]:
+) -> F64:
     """`count` points, (count, 3) in cell sizes, that are hidden from `waves` and keep a spacing, 0 for none.
 
     Descends from independent points drawn by `rng`; in a periodic cell the result lies in [0, 1). Raises DesignError if
@@ -111,7 +111,7 @@ class _Landscape:
         self._background = collective_density(around.fixed, waves, around.weight)
         self.longest_step = 0.2 * count ** (-1 / 3)
 
-    def __call__(self, points: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], float]:
+    def __call__(self, points: F64) -> tuple[float, F64, float]:
         """Energy, its gradient, and the largest of its terms."""
         waves, around = self._waves, self._around
         real, imag = self._waves_of
@@ -134,15 +134,7 @@ class _Landscape:
 
 
 @inline_jit
-def _add_gradient(
-    real: NDArray[np.float64],
-    imag: NDArray[np.float64],
-    columns: NDArray[np.int64],
-    reach: int,
-    density: NDArray[np.float64],
-    scale: float,
-    gradient: NDArray[np.float64],
-) -> None:
+def _add_gradient(real: F64, imag: F64, columns: I64, reach: int, density: F64, scale: float, gradient: F64) -> None:
     """Add the derivative of ``sum |density|^2`` by each point, times `scale` / 4 pi, to `gradient` (n, 3)."""
     for j in range(len(real)):
         gx = gy = gz = 0.0
@@ -168,14 +160,7 @@ def _add_gradient(
 
 
 @jit
-def _repel(
-    points: NDArray[np.float64],
-    obstacles: NDArray[np.float64],
-    periodic: bool,
-    spacing: float,
-    overlaps: NDArray[np.float64],
-    gradient: NDArray[np.float64],
-) -> None:
+def _repel(points: F64, obstacles: F64, periodic: bool, spacing: float, overlaps: F64, gradient: F64) -> None:
     """Soft spheres, (1 - d / spacing)^2 for each pair nearer than the spacing: sum and largest, and the gradient."""
     gap = np.empty(3)
     count = len(points)
@@ -201,13 +186,13 @@ def _repel(
                     gradient[j, axis] += force * gap[axis]
 
 
-def _descended(landscape: _Landscape, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _descended(landscape: _Landscape, points: F64) -> tuple[F64, float]:
     """Down to a minimum by limited-memory BFGS (Nocedal 1980); the points and the largest term left.
 
     Written out because sums must not depend on the number of threads, as those of BLAS do.
     """
     energy, gradient, largest = landscape(points)
-    moves: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
+    moves: list[tuple[F64, F64, float]] = []
     for _ in range(_STEPS):
         if largest <= TOLERANCE:
             break
@@ -238,9 +223,7 @@ def _descended(landscape: _Landscape, points: NDArray[np.float64]) -> tuple[NDAr
     return points, largest
 
 
-def _bfgs_direction(
-    gradient: NDArray[np.float64], moves: list[tuple[NDArray[np.float64], NDArray[np.float64], float]]
-) -> NDArray[np.float64]:
+def _bfgs_direction(gradient: F64, moves: list[tuple[F64, F64, float]]) -> F64:
     """The gradient times the inverse Hessian that the last moves suggest (two-loop recursion)."""
     result = gradient.copy()
     weights = []
@@ -255,6 +238,6 @@ def _bfgs_direction(
     return result
 
 
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _dot(a: F64, b: F64) -> float:
     """Without BLAS, whose sums depend on the number of threads."""
     return float((a * b).sum())

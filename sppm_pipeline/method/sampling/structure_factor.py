@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import inline_jit
 
 
@@ -19,12 +20,12 @@ class Waves(NamedTuple):
     """All waves up to a radius in reciprocal space but the constant one, and of each pair k and -k only one."""
 
     # (c, 5) runs of waves that differ in kz only: kx, ky, first and last kz, waves before the run
-    columns: NDArray[np.int64]
+    columns: I64
     number: int  # M, the number of waves
     reach: int  # largest kx, ky or kz
     radius: float  # K, the longest wave vector, periods over the edge of the cell
 
-    def vectors(self) -> NDArray[np.int64]:
+    def vectors(self) -> I64:
         """The wave vectors in the order of the columns, (number, 3)."""
         return np.array([(kx, ky, kz) for kx, ky, low, high, _ in self.columns for kz in range(low, high + 1)])
 
@@ -52,7 +53,7 @@ def longest_waves(most: int) -> Waves:
 
 
 @inline_jit
-def plane_waves(points: NDArray[np.float64], reach: int, real: NDArray[np.float64], imag: NDArray[np.float64]) -> None:
+def plane_waves(points: F64, reach: int, real: F64, imag: F64) -> None:
     """``exp(2 pi i k x)`` by point, axis and k from -reach to reach: `real` and `imag`, (n, 3, 2 reach + 1)."""
     for j in range(len(points)):
         for axis in range(3):
@@ -67,14 +68,7 @@ def plane_waves(points: NDArray[np.float64], reach: int, real: NDArray[np.float6
 
 
 @inline_jit
-def add_density(
-    real: NDArray[np.float64],
-    imag: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    columns: NDArray[np.int64],
-    reach: int,
-    total: NDArray[np.float64],
-) -> None:
+def add_density(real: F64, imag: F64, weight: F64, columns: I64, reach: int, total: F64) -> None:
     """Add ``sum_j weight_j exp(2 pi i k r_j)`` to `total` (2, number), real and imaginary parts.
 
     `real` and `imag` are those of `plane_waves`.
@@ -93,7 +87,7 @@ def add_density(
                 sums_imag[k] += xy * z_imag[k] + xy_imag * z[k]
 
 
-def collective_density(points: ArrayLike, waves: Waves, weight: ArrayLike | None = None) -> NDArray[np.float64]:
+def collective_density(points: ArrayLike, waves: Waves, weight: ArrayLike | None = None) -> F64:
     """The Fourier sums of points with weights (1 if omitted) at `waves`: real and imaginary parts, (2, number)."""
     centers = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
     shares = np.ones(len(centers)) if weight is None else np.ascontiguousarray(weight, np.float64)
@@ -104,7 +98,7 @@ def collective_density(points: ArrayLike, waves: Waves, weight: ArrayLike | None
     return total
 
 
-def structure_factor(points: ArrayLike, waves: Waves, weight: ArrayLike | None = None) -> NDArray[np.float64]:
+def structure_factor(points: ArrayLike, waves: Waves, weight: ArrayLike | None = None) -> F64:
     """``S(k) = |sum_j exp(2 pi i k r_j)|^2 / n`` at `waves`, (number,); with weights, n is their sum."""
     centers = np.asarray(points, np.float64).reshape(-1, 3)
     total = collective_density(centers, waves, weight)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.sampling.cell_list import CellList, axis_gap
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
 
 # A point that reaches into a voxel by less than the rounding of distances may be listed in vain.
@@ -24,10 +24,10 @@ Triple = tuple[float, float, float]
 class Voxels(NamedTuple):
     """The voxels of one level; a spot in one of them is covered only by points listed for it, or by newer ones."""
 
-    places: NDArray[np.int64]  # (number or more, 3) steps of the voxel's edge along x, y, z
-    first: NDArray[np.int64]  # (number + 1 or more,) where the points of each begin
-    points: NDArray[np.int64]  # (first[number] or more,) rows of the cell list
-    begin: NDArray[np.int64]  # (roots + 1,) where the voxels of each root begin
+    places: I64  # (number or more, 3) steps of the voxel's edge along x, y, z
+    first: I64  # (number + 1 or more,) where the points of each begin
+    points: I64  # (first[number] or more,) rows of the cell list
+    begin: I64  # (roots + 1,) where the voxels of each root begin
     number: int
 
 
@@ -46,13 +46,7 @@ def _squares(cells: CellList, p: int, middle: Triple, edge: Triple) -> tuple[flo
 
 @jit
 def _root_range(
-    cells: CellList,
-    p: int,
-    axis: int,
-    shift: int,
-    lower: NDArray[np.float64],
-    edge: Triple,
-    roots: tuple[int, int, int],
+    cells: CellList, p: int, axis: int, shift: int, lower: F64, edge: Triple, roots: tuple[int, int, int]
 ) -> tuple[int, int]:
     """The roots from one to before another that an image of a point may reach into, along one axis."""
     x = cells.points[p, axis] + shift - lower[axis]
@@ -66,7 +60,7 @@ def _root_range(
 
 @jit
 def all_voxels(
-    cells: CellList, lower: NDArray[np.float64], edge: Triple, roots: tuple[int, int, int], family: int, member: int
+    cells: CellList, lower: F64, edge: Triple, roots: tuple[int, int, int], family: int, member: int
 ) -> Voxels:
     """The roots, so many along each axis with these edges, that no single point covers.
 
@@ -129,14 +123,8 @@ def all_voxels(
 
 @jit
 def _news(
-    cells: CellList,
-    voxels: Voxels,
-    lower: NDArray[np.float64],
-    edge: Triple,
-    roots: tuple[int, int, int],
-    wide: Triple,
-    since: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    cells: CellList, voxels: Voxels, lower: F64, edge: Triple, roots: tuple[int, int, int], wide: Triple, since: int
+) -> tuple[I64, I64]:
     """Points from row `since` on that reach into each voxel: chains of rows (point, next) and where each starts."""
     head = np.full(voxels.number, -1, np.int64)
     chain = np.empty(64, np.int64)
@@ -175,9 +163,9 @@ def _news(
 def halved(
     cells: CellList,
     voxels: Voxels,
-    lower: NDArray[np.float64],
-    edge: NDArray[np.float64],
-    parts: NDArray[np.int64],
+    lower: F64,
+    edge: F64,
+    parts: I64,
     roots: tuple[int, int, int],
     wide: Triple,
     since: int,
@@ -218,7 +206,7 @@ def halved(
 
 
 @jit
-def _longer(array: NDArray[np.int64], used: int) -> NDArray[np.int64]:
+def _longer(array: I64, used: int) -> I64:
     """Twice the array."""
     longer = np.empty(2 * len(array), np.int64)
     # a slice assignment would compile Numba's broadcasting errors: two seconds more
@@ -230,17 +218,17 @@ def _longer(array: NDArray[np.int64], used: int) -> NDArray[np.int64]:
 @jit
 def _add_parts(
     cells: CellList,
-    lower: NDArray[np.float64],
-    edge: NDArray[np.float64],
-    parts: NDArray[np.int64],
-    place: NDArray[np.int64],
-    near: NDArray[np.int64],
-    masks: NDArray[np.int64],
-    work: NDArray[np.float64],
+    lower: F64,
+    edge: F64,
+    parts: I64,
+    place: I64,
+    near: I64,
+    masks: I64,
+    work: F64,
     found: int,
-    places: NDArray[np.int64],
-    first: NDArray[np.int64],
-    points: NDArray[np.int64],
+    places: I64,
+    first: I64,
+    points: I64,
     count: int,
 ) -> int:
     """Write those parts of the voxel at `place` that none of the `found` points in `near` covers; their new number."""

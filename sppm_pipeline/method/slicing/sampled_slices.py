@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
@@ -16,6 +15,7 @@ from sppm_pipeline.method.nouns.printer import Printer
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing.slice_stack import Slab, Slabs, SliceStack
 from sppm_pipeline.method.slicing.spool import Spool
+from sppm_pipeline.services.arrays import U8, U64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import computed_ahead
 
@@ -31,7 +31,7 @@ VOTED_PIXELS = 2**25
 """The same for a vote of rays, which looks at all triangles for every slab."""
 
 
-BitSlab = tuple[int, NDArray[np.uint64]]
+BitSlab = tuple[int, U64]
 """Index of the first sheet of samples, and the sheets as bits, see `services.bit_rows`."""
 
 
@@ -156,7 +156,7 @@ class SampledSlices(SliceStack):
             yield start, solid
         return self.findings(islands, voxels, summary)
 
-    def shaded(self, bits: NDArray[np.uint64]) -> NDArray[np.uint8]:
+    def shaded(self, bits: U64) -> U8:
         """Layers as they are delivered from sheets of samples."""
         from sppm_pipeline.services.bit_rows import unpack
 

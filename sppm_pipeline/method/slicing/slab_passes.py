@@ -18,10 +18,10 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.method.slicing.sampled_slices import BitSlab, SampledSlices, add_counts
 from sppm_pipeline.method.slicing.spool import MAX_DISK_SHARE
+from sppm_pipeline.services.arrays import U64, Bools
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.connectivity.verdicts import SlabLabels
@@ -45,7 +45,7 @@ class SlabTask(NamedTuple):
     stop: int  # the one after the last
     threads: int
     file: str | None = None  # where the bits of the first pass lie or are to lie
-    verdict: NDArray[np.bool_] | None = None  # (n_ids,), whether ids stay, in the second pass; None to keep everything
+    verdict: Bools | None = None  # (n_ids,), whether ids stay, in the second pass; None to keep everything
     shown: tuple[int, ...] = ()  # layers whose pixels are wanted, too
 
 
@@ -176,7 +176,7 @@ class _Bits:
                 self._open = self._part.open("wb")
         return self
 
-    def add(self, solid: NDArray[np.uint64]) -> None:
+    def add(self, solid: U64) -> None:
         """Append sheets."""
         if self._open is not None:
             try:

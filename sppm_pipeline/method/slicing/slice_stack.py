@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.method.nouns.printer import Printer, cards
 from sppm_pipeline.method.slicing.spool import IN_MEMORY
 from sppm_pipeline.nouns.artifact import Artifact, frozen
 from sppm_pipeline.nouns.size import Geometry, Size
+from sppm_pipeline.services.arrays import U8
 
-Slab = tuple[int, NDArray[np.uint8]]
+Slab = tuple[int, U8]
 """Index of the first layer, and layers indexed [layer, y, x], rows in order of increasing y."""
 
 
@@ -150,7 +151,7 @@ class SliceStack(Artifact, ABC):
                 raise
             raise self._fault(f"that raised {type(error).__name__} when it was read: {error}") from error
 
-    def to_array(self, threads: int = 1) -> NDArray[np.uint8]:
+    def to_array(self, threads: int = 1) -> U8:
         """All layers at once, uint8 [layer, y, x]; its transpose is the volume [x, y, z]. For what fits into memory."""
         return np.concatenate([slab.copy() for _, slab in self.slabs(threads)])
 
@@ -238,7 +239,7 @@ class SliceStack(Artifact, ABC):
 class ArraySlices(SliceStack):
     """Layers that are there already, uint8 [layer, y, x], with the low corner of the stack at the origin."""
 
-    layers: NDArray[np.uint8]
+    layers: U8
     pitch: tuple[float, float, float]
     machine: Printer | None = None
 

@@ -7,7 +7,8 @@ import tempfile
 from typing import IO, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import U8, U64
 
 IN_MEMORY = 2**27
 """Bytes that a spool keeps in memory; further slabs go into a temporary file. These are 10^9 samples; with half as
@@ -25,17 +26,17 @@ bunny take a third, and memory that the system has to give costs more time than 
 class _Words(NamedTuple):
     """The words of a slab that are not 0, and which these are."""
 
-    there: NDArray[np.uint8]  # a bit a word
-    words: NDArray[np.uint64]
+    there: U8  # a bit a word
+    words: U64
     shape: tuple[int, ...]
 
-    def bits(self) -> NDArray[np.uint64]:
+    def bits(self) -> U64:
         bits = np.zeros(self.shape, np.uint64)
         bits.reshape(-1)[np.unpackbits(self.there, count=bits.size).view(np.bool_)] = self.words
         return bits
 
 
-def _kept(bits: NDArray[np.uint64]) -> NDArray[np.uint64] | _Words:
+def _kept(bits: U64) -> U64 | _Words:
     """A slab, or its words if there are few."""
     words = bits.reshape(-1)
     there = words != 0
@@ -54,13 +55,13 @@ class Spool:
 
     def __init__(self) -> None:
         self._slabs: list[tuple[int, tuple[int, ...], int]] = []  # first sheet, shape, place in the file
-        self._bits: list[NDArray[np.uint64] | _Words] = []
+        self._bits: list[U64 | _Words] = []
         self._held = 0
         self._written = 0
         self._file: IO[bytes] | None = None
         self.whole = True
 
-    def append(self, start: int, bits: NDArray[np.uint64]) -> None:
+    def append(self, start: int, bits: U64) -> None:
         """Keep a slab, which must not be changed by others then; `start` is its first sheet."""
         if not self.whole:
             return
@@ -87,7 +88,7 @@ class Spool:
     def __len__(self) -> int:
         return len(self._slabs)
 
-    def slab(self, number: int) -> tuple[int, NDArray[np.uint64]]:
+    def slab(self, number: int) -> tuple[int, U64]:
         """The first sheet of a slab, and the slab; who changes it says so by `replace`."""
         start, shape, offset = self._slabs[number]
         if number < len(self._bits):
@@ -100,7 +101,7 @@ class Spool:
             raise OSError("the temporary file of the layers is cut off")
         return start, bits
 
-    def replace(self, number: int, bits: NDArray[np.uint64]) -> None:
+    def replace(self, number: int, bits: U64) -> None:
         """Another content for a slab of the same shape."""
         if number < len(self._bits):
             self._bits[number] = _kept(bits)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import Cell, Connector, Context, DesignError, Length, PoreSet, TunnelGraph, option, options
 from sppm_pipeline.method.families.cloud import Cloud, Piece
 from sppm_pipeline.method.families.interiors import MANY
+from sppm_pipeline.services.arrays import F64, I64
 
 MAX_EXACT = 3000
 """Pores of a piece up to which `exact` is used, for time: the relaxation takes a second for 2000 and a quarter of a
@@ -71,7 +72,7 @@ class BoundedDegreeSubgraph(Connector):
         """The mode by which so many pores are joined; where a clearance has to be proved impossible, always `mode`."""
         return "greedy" if self.mode == "greedy" or (pores > MAX_EXACT and self.clearance is None) else "exact"
 
-    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
         from sppm_pipeline.method.connecting.bounded import spanning_subgraph
         from sppm_pipeline.method.connecting.degrees import clamped_degrees
 
@@ -155,9 +156,7 @@ class BoundedDegreeSubgraph(Connector):
     def connects_to_the_nearest(self) -> bool:
         return self.connector_clearance is None and type(self).connect is BoundedDegreeSubgraph.connect
 
-    def connect(
-        self, face_points: NDArray[np.float64], interior_points: NDArray[np.float64], cell: Cell
-    ) -> NDArray[np.int64]:
+    def connect(self, face_points: F64, interior_points: F64, cell: Cell) -> I64:
         if self.connector_clearance is None:
             return super().connect(face_points, interior_points, cell)
         from sppm_pipeline.method.connecting.clearance import nearest_connectors

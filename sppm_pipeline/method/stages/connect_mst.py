@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Connector, Context
 from sppm_pipeline.method.families.cloud import Cloud, Piece
+from sppm_pipeline.services.arrays import I64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,7 @@ class MinimumSpanningTree(Connector):
 
     name: ClassVar[str] = "connect.mst"
 
-    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
         from sppm_pipeline.method.connecting.trees import minimum_spanning_tree
 
         return minimum_spanning_tree(piece.points, periodic=piece.periodic)

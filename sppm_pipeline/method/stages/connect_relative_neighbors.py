@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Connector, Context, PoreSet, TunnelGraph, options
 from sppm_pipeline.method.families.cloud import Cloud, Piece
+from sppm_pipeline.services.arrays import I64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class RelativeNeighbors(Connector):
     def edges_of_a_pore(self) -> float:
         return max(1.8, 1.1 * self.degree[0] / 2)
 
-    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
         from sppm_pipeline.method.connecting.degrees import clamped_degrees, feasible_degrees
         from sppm_pipeline.method.connecting.relative_degrees import relative_neighbor_graph
         from sppm_pipeline.method.connecting.trees import periods

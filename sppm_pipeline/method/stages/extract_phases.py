@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -26,6 +25,7 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.method.fields.scalar_field import RESOLVED_WALL
 from sppm_pipeline.method.stages.extract_voxels import ExtractVoxels, image_grid
+from sppm_pipeline.services.arrays import F32, F64, U8, Bools
 from sppm_pipeline.services.grid import Grid
 
 MAX_PHASES = 255
@@ -98,7 +98,7 @@ class ExtractPhases(Stage):
         edge = first.edge_mm
         return Voxels(labels.T, ((edge or 1.0) / self.resolution,) * 3, edge is not None, (first.periodic,) * 3)
 
-    def _in_shell(self, context: Context, field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def _in_shell(self, context: Context, field: ScalarField, values: F32) -> Bools:
         assert self.coating is not None
         thickness = self.coating.in_cells(field.edge_mm)
         if thickness * self.resolution * RESOLVED_WALL < 1:
@@ -109,7 +109,7 @@ class ExtractPhases(Stage):
         return in_shell(values, thickness * self.resolution, field.periodic, context.threads)
 
     @staticmethod
-    def _lay(context: Context, field: ScalarField, grid: Grid, label: np.uint8, labels: NDArray[np.uint8]) -> None:
+    def _lay(context: Context, field: ScalarField, grid: Grid, label: np.uint8, labels: U8) -> None:
         """Label the solid of a field, a few layers at a time."""
         for start in range(0, len(labels), 16):
             stop = min(start + 16, len(labels))
@@ -134,7 +134,7 @@ def _check_fits(first: ScalarField, field: ScalarField, number: int) -> None:
         )
 
 
-def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64]:
+def crossings(values: F32, periodic: bool) -> F64:
     """Points where lines between neighboring samples meet the zero level, (n, 3), x, y, z in steps of the grid.
 
     NaN counts as positive; beside a value that is not finite the level is taken to lie half way between samples. If
@@ -158,7 +158,7 @@ def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64
     return np.concatenate(found)
 
 
-def in_shell(values: NDArray[np.float32], thickness: float, periodic: bool, threads: int = 1) -> NDArray[np.bool_]:
+def in_shell(values: F32, thickness: float, periodic: bool, threads: int = 1) -> Bools:
     """Negative samples within a distance (in steps of the grid) of the zero level, (nz, ny, nx) bool.
 
     Distances are those to the nearest point where the level meets a line of the grid, a little too long between

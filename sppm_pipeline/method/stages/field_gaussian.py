@@ -6,9 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline import (
     Cell,
     ConfigError,
@@ -26,6 +23,7 @@ from sppm_pipeline.method.fields.microstructure import CUTOFF, LOWEST_LEVEL, fin
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES, TunnelProfile
 from sppm_pipeline.nouns.size import Geometry
+from sppm_pipeline.services.arrays import F64
 
 MIN_REACH, MAX_REACH = 1e-3, 8.0
 """Cell sizes from the axis of a kernel to where it is cut off. A narrower one is missed by every grid; a wider one
@@ -99,10 +97,7 @@ class GaussianField(Stage):
         del pores, tunnels  # there may be millions
         self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
         self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
-        radii = {
-            "pore_radius": PORE_PROFILE.radius(omega, self.level),
-            "tunnel_radius": profile.radius(mu, self.level),
-        }
+        radii = {"pore_radius": PORE_PROFILE.radius(omega, self.level), "tunnel_radius": profile.radius(mu, self.level)}
         if cell.physical:
             radii |= {f"{name}_mm": radius * cell.edge for name, radius in radii.items()}
         context.report(**radii, omega=omega, mu=mu)
@@ -134,7 +129,7 @@ class GaussianField(Stage):
             )
         return profile.in_cell_units(value, cell.edge, f"size parameter {name}")
 
-    def _check_reach(self, name: str, reach: NDArray[np.float64]) -> None:
+    def _check_reach(self, name: str, reach: F64) -> None:
         """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""
         if len(reach) and not (reach.min() >= MIN_REACH and reach.max() <= MAX_REACH):
             raise ConfigError(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -27,6 +26,7 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.method.families.inside_test import outward_mesh
 from sppm_pipeline.method.part.border import Border
+from sppm_pipeline.services.arrays import I32, I64
 from sppm_pipeline.services.formats.input_file import content_of
 
 MIN_CELLS = 2
@@ -174,7 +174,7 @@ class ImplicitFill(Stage):
                 )
         return part
 
-    def _chosen(self, context: Context, domain: SurfaceMesh, near: SurfaceMesh | None) -> NDArray[np.int32]:
+    def _chosen(self, context: Context, domain: SurfaceMesh, near: SurfaceMesh | None) -> I32:
         """Numbers of the triangles that have the skin."""
         from sppm_pipeline.method.part.chosen_faces import faces_toward, faces_within
         from sppm_pipeline.services.mesh.measures import surface_area
@@ -209,7 +209,7 @@ class ImplicitFill(Stage):
         return np.flatnonzero(chosen).astype(np.int32)
 
 
-def listed_triangles(path: Path, count: int) -> NDArray[np.int64]:
+def listed_triangles(path: Path, count: int) -> I64:
     """The triangle numbers in a text file, between blanks, commas or line ends."""
     words = content_of(path, MAX_LIST_BYTES).replace(b",", b" ").split()
     wrong = next((word for word in words if not (word.isdigit() and len(word) < 10 and int(word) < count)), None)

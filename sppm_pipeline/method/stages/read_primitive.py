@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline import Context, Length, Palette, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.nouns.size import Geometry
+from sppm_pipeline.services.arrays import F64, I32
 
 SHAPES = ("box", "ball", "cylinder", "torus", "torus_knot")
 
@@ -42,7 +40,7 @@ class ReadPrimitive(Stage):
         """Make the mesh."""
         return SurfaceMesh(*self._mesh(self.facets), name=self.shape)
 
-    def _mesh(self, around: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def _mesh(self, around: int) -> tuple[F64, I32]:
         """Vertices and faces of the placed body with so many edges around a full turn."""
         from sppm_pipeline.method.part import primitive_meshes as make
 

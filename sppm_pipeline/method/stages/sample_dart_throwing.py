@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Cell, ConfigError, Context, Length, PoreSet, Sampler, option, options
 from sppm_pipeline.method.families.interiors import MANY, InteriorBox, Interiors
 from sppm_pipeline.method.families.scattered import with_darts
 from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.arrays import F64, I64
 
 HALF_PACKED = 0.5
 """Fraction of the packing limit at which a number of pores is thrown if nothing says how close they may come: blue
@@ -88,7 +88,7 @@ class DartThrowing(Sampler):
             spacing = spacing_at_share(count, self.share or HALF_PACKED)
         return with_darts(context, base, blocks, count, spacing, obstacles=self.clear_faces)
 
-    def throw_all(self, context: Context, interiors: Interiors) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def throw_all(self, context: Context, interiors: Interiors) -> tuple[F64, I64]:
         replaced = type(self).throw is not DartThrowing.throw
         if replaced or not (interiors.alike and interiors.pores.has_faces and len(interiors) >= MANY):
             return super().throw_all(context, interiors)
@@ -114,7 +114,7 @@ class DartThrowing(Sampler):
             context.progress(done, len(interiors), "interiors")
         return np.concatenate(centers), counts
 
-    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> F64:
         from sppm_pipeline.method.sampling.darts import throw
 
         count, spacing, share = self._packing(box)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Sampler, option, options
 from sppm_pipeline.method.families.interiors import InteriorBox
+from sppm_pipeline.services.arrays import F64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Elimination(Sampler):
     count: int = options.count(note="in one interior", minimum=1)
     candidates: float = option(5.0, help="candidates thrown for each pore kept", minimum=2, maximum=100)
 
-    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> F64:
         from sppm_pipeline.method.sampling.elimination import eliminate
 
         return eliminate(

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Cell, ConfigError, Context, Length, PoreSet, Sampler, option, options
 from sppm_pipeline.method.families.interiors import InteriorBox, Meetings
 from sppm_pipeline.method.families.scattered import FilledBlocks, with_evened
 from sppm_pipeline.method.stages.sample_dart_throwing import HALF_PACKED
 from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.arrays import F64
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.sampling.structure_factor import Waves
@@ -102,7 +102,7 @@ class Hyperuniform(Sampler):
             context.report(mean_structure_factor=factor)
         return pores
 
-    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> F64:
         from sppm_pipeline.method.sampling.stealthy import Surroundings, throw_stealthy
 
         fixed, weight = box.folded[:, :3], box.folded[:, 3]

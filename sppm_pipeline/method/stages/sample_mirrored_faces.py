@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     Cell,
@@ -24,6 +23,7 @@ from sppm_pipeline import (
 from sppm_pipeline.method.families.sampler import design_of, start_of
 from sppm_pipeline.method.families.scattered import with_darts
 from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.arrays import F64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +147,7 @@ class MirroredFaces(Stage):
 
         return homogeneous_design(total=self.total, face_count=self.count, spacing=spacing, share=self.share, met=met)
 
-    def _packed(self, context: Context, cell: Cell) -> tuple[list[list[NDArray[np.float64]]], float]:
+    def _packed(self, context: Context, cell: Cell) -> tuple[list[list[F64]], float]:
         """Patterns without edges, packed as densely as the interior, and their spacing."""
         from sppm_pipeline.method.sampling.edges import MAX_TOGETHER
         from sppm_pipeline.method.sampling.faces import mirrored_faces, split_between_faces_and_interior
@@ -195,7 +195,7 @@ class MirroredFaces(Stage):
 
     def _apart(
         self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None
-    ) -> list[list[NDArray[np.float64]]]:
+    ) -> list[list[F64]]:
         """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
         from sppm_pipeline.method.sampling.cell_list import new_stream
         from sppm_pipeline.method.sampling.faces import face_counts

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Tiler, TileSet
+from sppm_pipeline.services.arrays import I32, Bools
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,9 +18,7 @@ class CornerColorsTiling(Tiler):
     name: ClassVar[str] = "tile.corner_colors"
     kinds: ClassVar[tuple[str, ...]] = ("corner",)
 
-    def lay(
-        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
-    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+    def lay(self, rng: np.random.Generator, mask: Bools, tileset: TileSet) -> tuple[I32, tuple[I32, I32, I32]]:
         from sppm_pipeline.method.tiling.corners import tile_corners
 
         seed = int(rng.integers(2**62))

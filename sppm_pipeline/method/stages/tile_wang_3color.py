@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Tiler, TileSet, option
+from sppm_pipeline.services.arrays import I32, Bools
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +23,7 @@ class WangTiling(Tiler):
 
     rule2: bool = option(True, help="prefer tiles that differ from their neighbors; otherwise any tile that fits")
 
-    def lay(
-        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
-    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+    def lay(self, rng: np.random.Generator, mask: Bools, tileset: TileSet) -> tuple[I32, tuple[I32, I32, I32]]:
         from sppm_pipeline.method.tiling.wang import tile_wang
 
         return tile_wang(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -25,6 +24,7 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.method.families.tuner import FIRST, HIGH, LOW, VARY, missed, options_at, varied_option
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.target_search import relative_error, search
 from sppm_pipeline.stage import Observed
 
@@ -192,7 +192,7 @@ def _place(vary: Words, at: Point) -> str:
     return " and ".join(f"{name} = {number:g}" for name, number in zip(_each(vary), at, strict=True))
 
 
-def _mean(drawn: dict[int, list[float]]) -> NDArray[np.float64]:
+def _mean(drawn: dict[int, list[float]]) -> F64:
     return np.asarray(np.array(list(drawn.values()), np.float64).mean(0), np.float64)
 
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline import ConfigError, Context, LayerWriter, SliceStack, option, options
+from sppm_pipeline.services.arrays import U8, U64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +41,7 @@ class WritePng(LayerWriter):
             )
         super().run(context, stack)
 
-    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
+    def encode(self, image: U8, stack: SliceStack) -> bytes:
         from sppm_pipeline.services.formats.png import encode_layer
 
         return encode_layer(image, bits=self._bits(stack), pixel_mm=stack.pixel_mm)
@@ -51,7 +49,7 @@ class WritePng(LayerWriter):
     def takes_bits(self, stack: SliceStack) -> bool:
         return self._bits(stack) == 1
 
-    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+    def encode_bits(self, rows: U64, stack: SliceStack) -> bytes:
         from sppm_pipeline.services.formats.png import encode_rows
 
         return encode_rows(rows, stack.shape[0], pixel_mm=stack.pixel_mm)

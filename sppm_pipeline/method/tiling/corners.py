@@ -8,7 +8,7 @@ edges versus colored corners"). Corners are drawn freely by a hash of their plac
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.tiling.lattice import (
     CORNER,
@@ -19,12 +19,13 @@ from sppm_pipeline.method.tiling.lattice import (
     face_presence,
     hash_places,
 )
+from sppm_pipeline.services.arrays import I32
 
 _MAX_COLORS_OF_FACES = 215  # 215^4 < 2^31
 _MAX_COLORS_OF_CELLS = 14  # 14^8 < 2^31
 
 
-def _combined(corners: NDArray[np.int32], colors: int, axes: tuple[int, ...]) -> NDArray[np.int32]:
+def _combined(corners: I32, colors: int, axes: tuple[int, ...]) -> I32:
     """Number each place by the corners at both ends of `axes`; each of these axes gets one shorter."""
     number = corners.astype(np.int64)
     base = colors

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import I32, I64, U64, Bools
 
-Faces = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
-Laid = tuple[NDArray[np.int32], Faces]
+Faces = tuple[I32, I32, I32]
+Laid = tuple[I32, Faces]
 """Interiors of cells (nx, ny, nz), -1 for none, and the colors of their faces perpendicular to x, y and z."""
 
 
-def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
+def checked_mask(mask: ArrayLike) -> Bools:
     """`mask` as a boolean array; ValueError if it hasn't three axes, or one of them is empty."""
     cells = np.asarray(mask, np.bool_)
     if cells.ndim != 3 or 0 in cells.shape:
@@ -20,7 +21,7 @@ def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
     return cells
 
 
-def dilated(cells: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool_]:
+def dilated(cells: Bools, periodic: bool = False) -> Bools:
     """The cells and all that share a face, an edge or a corner with one of them; a copy."""
     for axis in range(3):  # growing along one axis after the other reaches the corners
         along = np.moveaxis(cells, axis, 0)
@@ -34,7 +35,7 @@ def dilated(cells: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool
     return cells
 
 
-def with_halo(cells: NDArray[np.bool_], halo: int) -> NDArray[np.bool_]:
+def with_halo(cells: Bools, halo: int) -> Bools:
     """The cells and those at most `halo` away, in an array with so many more on each side."""
     found = np.pad(cells, halo)
     for _ in range(halo):
@@ -53,7 +54,7 @@ def check_count(what: str, count: int, largest: int = 2**31 - 1) -> None:
         )
 
 
-def face_presence(mask: NDArray[np.bool_], periodic: bool = False) -> tuple[NDArray[np.bool_], ...]:
+def face_presence(mask: Bools, periodic: bool = False) -> tuple[Bools, ...]:
     """Which lattice faces have a cell on at least one side: three arrays, that of axis a of shape n_a + 1 along a.
 
     In a periodic lattice the last plane of each axis is the first one again; both then carry the same entries.
@@ -72,7 +73,7 @@ def face_presence(mask: NDArray[np.bool_], periodic: bool = False) -> tuple[NDAr
     return tuple(presence)
 
 
-def faces_of_cells(colors: Faces, mask: NDArray[np.bool_], periodic: bool = False) -> Faces:
+def faces_of_cells(colors: Faces, mask: Bools, periodic: bool = False) -> Faces:
     """Faces of cells whose two opposite faces carry one color: three arrays as in `Laid`, -1 where there is no cell.
 
     `colors`, three (nx, ny, nz), are those that each cell shows along x, y, z; where two cells meet they must agree.
@@ -102,7 +103,7 @@ _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
 
-def _absorbed(state: NDArray[np.uint64], word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def _absorbed(state: U64, word: U64) -> U64:
     # For a fixed state this is a bijection of the word, and the other way round: no two places of a row collide.
     bits = (state ^ word) + _GOLDEN
     bits ^= bits >> np.uint64(30)
@@ -113,7 +114,7 @@ def _absorbed(state: NDArray[np.uint64], word: NDArray[np.uint64]) -> NDArray[np
     return bits
 
 
-def hash_places(seed: int, stream: int, i: ArrayLike, j: ArrayLike, k: ArrayLike) -> NDArray[np.uint64]:
+def hash_places(seed: int, stream: int, i: ArrayLike, j: ArrayLike, k: ArrayLike) -> U64:
     """Hash the lattice places (i, j, k).
 
     Parameters
@@ -141,7 +142,7 @@ def hash_places(seed: int, stream: int, i: ArrayLike, j: ArrayLike, k: ArrayLike
     return state
 
 
-def _numbered(there: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _numbered(there: Bools) -> I32:
     numbers = np.full(there.shape[::-1], -1, np.int32)
     stored = there.transpose(2, 1, 0)
     numbers[stored] = np.arange(np.count_nonzero(there), dtype=np.int32)
@@ -166,7 +167,7 @@ def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> Laid:
     return _numbered(cells), (faces[0], faces[1], faces[2])
 
 
-def meetings(interior: NDArray[np.int32], faces: Faces) -> NDArray[np.int64]:
+def meetings(interior: I32, faces: Faces) -> I64:
     """Rows (interior, axis, side, face) of all meetings in the lattice."""
     rows = []
     filled = interior >= 0

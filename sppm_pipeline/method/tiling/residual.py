@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.services.arrays import F64
+
 
 class AxisCorrelation(NamedTuple):
     """Mean correlation coefficient, -1..1, of a cell and the next one along each axis, and over the axes.
@@ -45,9 +47,9 @@ def _blocks(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.generic
 
 
 class _Statistics(NamedTuple):
-    mean_cell: NDArray[np.float64]  # (nx, ny, nz)
-    means: NDArray[np.float64]  # (cx, cy, cz), mean of each cell
-    variances: NDArray[np.float64]  # (cx, cy, cz), variance inside each cell
+    mean_cell: F64  # (nx, ny, nz)
+    means: F64  # (cx, cy, cz), mean of each cell
+    variances: F64  # (cx, cy, cz), variance inside each cell
 
 
 def _statistics(blocks: NDArray[np.generic]) -> _Statistics:
@@ -62,7 +64,7 @@ def _statistics(blocks: NDArray[np.generic]) -> _Statistics:
     return _Statistics(mean / means.size, means, variances)
 
 
-def mean_cell(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.float64]:
+def mean_cell(image: ArrayLike, cells: tuple[int, int, int]) -> F64:
     """Average (nx, ny, nz) of all cells of an image (cx nx, cy ny, cz nz), voxel by voxel."""
     return _statistics(_blocks(image, cells)).mean_cell
 
@@ -93,7 +95,7 @@ def folded_shares(image: ArrayLike, cells: tuple[int, int, int]) -> Folded:
     )
 
 
-def _overlap(n: int, *spans: tuple[float, float]) -> NDArray[np.float64]:
+def _overlap(n: int, *spans: tuple[float, float]) -> F64:
     """Weight of each of n voxels along an axis by its overlap with spans of 0..1; the sum is 1."""
     low = np.arange(n) / n
     weight = sum(np.clip(np.minimum(low + 1 / n, end) - np.maximum(low, start), 0.0, None) for start, end in spans)

@@ -10,15 +10,16 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.tiling.lattice import Faces, check_count, checked_mask, face_presence
+from sppm_pipeline.services.arrays import I64, Bools
 
 #: Weight of a neighbor that is another tile, by the number of axes along which it is shifted (Rule 2 of the paper).
 _WEIGHTS = {1: 3, 2: 2, 3: 1}
 
 
-def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[I64, I64]:
     placed, colors = np.asarray(tiles, np.int64), np.asarray(tile_faces, np.int64)
     if colors.ndim != 2 or colors.shape[1] not in (3, 6):
         raise ValueError(f"face colors of tiles must have shape (n, 3) or (n, 6), got {colors.shape}")
@@ -31,7 +32,7 @@ def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[NDArray[np.
 
 def face_violations(
     interior: ArrayLike, faces: Faces, tile_faces: ArrayLike | None = None, *, periodic: bool = False
-) -> NDArray[np.int64]:
+) -> I64:
     """Count faces across x, y, z, (3,), that don't fit the cells; with `tile_faces` broken adjacencies of Rule 1, too.
 
     A face is broken if it lies at a cell and has no color, has a color and lies at no cell, shows another color than a
@@ -59,9 +60,7 @@ def face_violations(
     return broken
 
 
-def _neighbors(
-    cells: NDArray[np.int64], periodic: bool
-) -> Iterator[tuple[int, tuple[slice, ...], NDArray[np.int64], NDArray[np.int64]]]:
+def _neighbors(cells: I64, periodic: bool) -> Iterator[tuple[int, tuple[slice, ...], I64, I64]]:
     """For each of the 26 directions: the axes it shifts along, where such a neighbor may be, cells and neighbors."""
     for step in itertools.product((-1, 0, 1), repeat=3):
         if any(step):
@@ -72,7 +71,7 @@ def _neighbors(
             yield sum(map(abs, step)), there, cells[there], np.roll(cells, [-d for d in step], (0, 1, 2))[there]
 
 
-def alike_neighbors(interior: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def alike_neighbors(interior: ArrayLike, *, periodic: bool = False) -> tuple[I64, I64]:
     """Count pairs of neighbors across faces, edges and corners, (3,), that have the same interior, and all pairs.
 
     In a periodic assembly a cell may be its own neighbor.
@@ -86,7 +85,7 @@ def alike_neighbors(interior: ArrayLike, *, periodic: bool = False) -> tuple[NDA
     return alike // 2, pairs // 2
 
 
-def rule2_scores(tiles: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def rule2_scores(tiles: ArrayLike, *, periodic: bool = False) -> tuple[I64, I64]:
     """Score of each cell by Rule 2 of the paper among all of its neighbors, and its maximum, both (nx, ny, nz).
 
     A neighbor that is another tile adds 3 across a face, 2 across an edge, 1 across a corner; in the maximum every
@@ -142,7 +141,7 @@ def entropy_per_cell(mask: ArrayLike, kind: str, colors: int, interiors: int = 1
     return (colored * math.log2(colors) + count * math.log2(interiors)) / count if count else 0.0
 
 
-def _runs(cells: NDArray[np.bool_], periodic: bool) -> int:
+def _runs(cells: Bools, periodic: bool) -> int:
     """Number of unbroken rows of cells along the first axis, around the end, too, if periodic."""
     before = np.roll(cells, 1, axis=0)
     if not periodic:

@@ -27,18 +27,17 @@ The price is that a box of nx * ny * nz cells has only nx ny + ny nz + nz nx run
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.tiling.lattice import TIE, Laid, check_count, checked_mask, faces_of_cells, hash_places
+from sppm_pipeline.services.arrays import I32, I64, U64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
 _MAX_COLORS = 1290  # 1290^3 is the largest cube below 2^31
 
 
 @jit
-def _run_neighbor(
-    mask: NDArray[np.bool_], tiles: NDArray[np.int32], place: int, index: int, count: int, stride: int, periodic: bool
-) -> int:
+def _run_neighbor(mask: Bools, tiles: I32, place: int, index: int, count: int, stride: int, periodic: bool) -> int:
     """The tile of a cell already placed on the run through `place`, or -1."""
     if index > 0 and mask[place - stride]:
         return int(tiles[place - stride])
@@ -54,9 +53,7 @@ def _run_neighbor(
 
 
 @jit
-def _add_sameness(
-    tiles: NDArray[np.int32], k: int, j: int, i: int, periodic: bool, sameness: NDArray[np.int64]
-) -> None:
+def _add_sameness(tiles: I32, k: int, j: int, i: int, periodic: bool, sameness: I64) -> None:
     """Add to ``sameness[T]`` the weights of placed neighbors that are tile T."""
     nz, ny, nx = tiles.shape
     for dk in range(-1, 2):
@@ -74,14 +71,7 @@ def _add_sameness(
 
 
 @jit
-def _fill(
-    mask: NDArray[np.bool_],
-    colors: int,
-    draws: NDArray[np.uint64],
-    scored: bool,
-    periodic: bool,
-    tiles: NDArray[np.int32],
-) -> None:
+def _fill(mask: Bools, colors: int, draws: U64, scored: bool, periodic: bool, tiles: I32) -> None:
     """Place tiles in raster order. Arrays are (nz, ny, nx), `tiles` starts at -1."""
     nz, ny, nx = mask.shape
     flat_mask, flat_tiles, flat_draws = mask.reshape(-1), tiles.reshape(-1), draws.reshape(-1)
@@ -127,7 +117,7 @@ def _fill(
                                 chosen -= 1
 
 
-def tile_colors(colors: int = 3) -> NDArray[np.int32]:
+def tile_colors(colors: int = 3) -> I32:
     """Face colors of all c^3 tiles of the set across x, y, z, (c^3, 3); DesignError if c isn't within 1..1290."""
     check_count("face colors", colors, _MAX_COLORS)
     tile = np.arange(colors**3, dtype=np.int32)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.elastic.isotropy import averages
 from sppm_pipeline.services.elastic.voigt import isotropic, mandel
 
@@ -38,8 +38,8 @@ class Bounds(NamedTuple):
         Whether the averages of Hill lie there; a structure that is far from isotropic need not.
     """
 
-    voigt: NDArray[np.float64]
-    reuss: NDArray[np.float64]
+    voigt: F64
+    reuss: F64
     within: bool
     bulk: Interval
     shear: Interval
@@ -56,7 +56,7 @@ class Bounds(NamedTuple):
         return Interval(low, high)
 
 
-def voigt(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
+def voigt(phases: list[tuple[float, float, float]]) -> F64:
     """Mean of the stiffnesses, (6, 6): the upper bound.
 
     Parameters
@@ -70,7 +70,7 @@ def voigt(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
     return total
 
 
-def reuss(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
+def reuss(phases: list[tuple[float, float, float]]) -> F64:
     """Inverse of the mean of the compliances, (6, 6): the lower bound; zero if there is void. See `voigt`."""
     if any(fraction > 0 and young == 0 for fraction, young, _ in phases):
         return np.zeros((6, 6))
@@ -107,7 +107,7 @@ def hashin_shtrikman(phases: list[tuple[float, float, float]]) -> tuple[Interval
     )
 
 
-def bounds(stiffness: NDArray[np.float64], phases: list[tuple[float, float, float]], slack: float = 1e-6) -> Bounds:
+def bounds(stiffness: F64, phases: list[tuple[float, float, float]], slack: float = 1e-6) -> Bounds:
     """All bounds, and whether `stiffness` keeps to them. See `voigt` for `phases`.
 
     Parameters

@@ -6,7 +6,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F64
 
 ORDERS = (0.5, 4.0)
 """Orders of convergence that are accepted; outside, the grids are too coarse to extrapolate."""
@@ -31,13 +32,13 @@ class Limit(NamedTuple):
         Whether three grids agreed on the order.
     """
 
-    value: NDArray[np.float64]
-    error: NDArray[np.float64]
+    value: F64
+    error: F64
     order: float
     observed: bool
 
 
-def richardson(spacings: list[float], values: list[NDArray[np.float64]], assumed: float = 2.0) -> Limit:
+def richardson(spacings: list[float], values: list[F64], assumed: float = 2.0) -> Limit:
     """Extrapolate over two or three grids.
 
     The order is that of the change of all values together (its norm), as single entries of a stiffness matrix may be
@@ -76,7 +77,7 @@ def richardson(spacings: list[float], values: list[NDArray[np.float64]], assumed
     return Limit(arrays[-1] + correction, error, order, observed)
 
 
-def _observed(spacings: list[float], values: list[NDArray[np.float64]]) -> float | None:
+def _observed(spacings: list[float], values: list[F64]) -> float | None:
     """The order at which the changes shrink, by bisection; None outside `ORDERS`."""
     first, second = (float(np.linalg.norm(b - a)) for a, b in pairwise(values))
     if not (first > 0 and second > 0):

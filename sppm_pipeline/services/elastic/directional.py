@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32
 from sppm_pipeline.services.elastic.voigt import compliance, null_space
 
 
-def young_along(stiffness: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def young_along(stiffness: F64, directions: F64) -> F64:
     """Young's modulus along each direction, E(n) = 1 / (n n : S : n n).
 
     Parameters
@@ -30,11 +30,11 @@ def young_along(stiffness: NDArray[np.float64], directions: NDArray[np.float64])
     weighted = stress * np.array([1, 1, 1, *(np.sqrt(2.0),) * 3])
     carried = ((weighted @ vectors[:, values == 0]) ** 2).sum(axis=1) < 1e-6
     flexible = np.einsum("ni,ij,nj->n", stress, compliance(stiffness), stress)
-    moduli: NDArray[np.float64] = np.divide(1.0, flexible, out=np.zeros(len(stress)), where=carried & (flexible > 0))
+    moduli: F64 = np.divide(1.0, flexible, out=np.zeros(len(stress)), where=carried & (flexible > 0))
     return moduli
 
 
-def sphere_mesh(rounds: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def sphere_mesh(rounds: int) -> tuple[F64, I32]:
     """A sphere of triangles from an icosahedron halved `rounds` times: unit vertices and faces that look outward."""
     golden = (1 + np.sqrt(5)) / 2
     corners = np.array(
@@ -58,7 +58,7 @@ def sphere_mesh(rounds: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     return vertices, faces
 
 
-def _halved(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _halved(vertices: F64, faces: I32) -> tuple[F64, I32]:
     """Each triangle becomes four; new vertices lie on the sphere."""
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, at = np.unique(sides, axis=0, return_inverse=True)
@@ -70,7 +70,7 @@ def _halved(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[ND
     return np.concatenate([vertices, middle]), np.concatenate(parts)
 
 
-def extremes(stiffness: NDArray[np.float64]) -> dict[str, tuple[float, NDArray[np.float64]]]:
+def extremes(stiffness: F64) -> dict[str, tuple[float, F64]]:
     """Smallest and largest Young's modulus and where they point.
 
     Found on a fine sphere and refined by shrinking steps, so that the direction is right to 1e-4 and the value to 1e-7.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.elastic.voigt import from_lame, mandel, null_space
 
 
@@ -46,7 +46,7 @@ class Averages(NamedTuple):
         return (self.shear_voigt + self.shear_reuss) / 2
 
 
-def _means(stiffness: NDArray[np.float64]) -> tuple[float, float, float]:
+def _means(stiffness: F64) -> tuple[float, float, float]:
     """Means of the longitudinal, the transverse and the shear entries."""
     a = float(np.trace(stiffness[:3, :3])) / 3
     b = float(stiffness[0, 1] + stiffness[0, 2] + stiffness[1, 2]) / 3
@@ -54,7 +54,7 @@ def _means(stiffness: NDArray[np.float64]) -> tuple[float, float, float]:
     return a, b, c
 
 
-def nearest_isotropic(stiffness: NDArray[np.float64], norm: str = "paper") -> IsotropicFit:
+def nearest_isotropic(stiffness: F64, norm: str = "paper") -> IsotropicFit:
     """The isotropic material nearest to `stiffness`.
 
     Both norms lead to a linear least-squares problem in the Lamé constants, so the minimum is exact. For a stiffness
@@ -83,7 +83,7 @@ def nearest_isotropic(stiffness: NDArray[np.float64], norm: str = "paper") -> Is
     else:
         raise ValueError(f"norm is 'paper' or 'tensor', got {norm!r}")
 
-    def length(matrix: NDArray[np.float64]) -> float:
+    def length(matrix: F64) -> float:
         return float(np.linalg.norm(matrix if norm == "paper" else mandel(matrix)))
 
     size = length(stiffness)
@@ -95,7 +95,7 @@ def nearest_isotropic(stiffness: NDArray[np.float64], norm: str = "paper") -> Is
     return IsotropicFit(young, poisson, distance**2, distance / size)
 
 
-def averages(stiffness: NDArray[np.float64]) -> Averages:
+def averages(stiffness: F64) -> Averages:
     """Bulk and shear moduli averaged over all orientations.
 
     The lower averages of a structure without stiffness in some direction are 0.
@@ -119,7 +119,7 @@ def averages(stiffness: NDArray[np.float64]) -> Averages:
     return Averages((a + 2 * b) / 3, bulk_reuss, (a - b + 3 * c) / 5, shear_reuss)
 
 
-def universal_anisotropy(stiffness: NDArray[np.float64]) -> float:
+def universal_anisotropy(stiffness: F64) -> float:
     """Universal anisotropy index, 0 for isotropy, infinite if a direction has no stiffness.
 
     References
@@ -132,7 +132,7 @@ def universal_anisotropy(stiffness: NDArray[np.float64]) -> float:
     return 5 * mean.shear_voigt / mean.shear_reuss + mean.bulk_voigt / mean.bulk_reuss - 6
 
 
-def log_euclidean(stiffness: NDArray[np.float64]) -> float:
+def log_euclidean(stiffness: F64) -> float:
     """Log-Euclidean anisotropy index, 0 for isotropy, infinite if a direction has no stiffness.
 
     References
@@ -146,7 +146,7 @@ def log_euclidean(stiffness: NDArray[np.float64]) -> float:
     return float(np.sqrt(bulk**2 + 5 * shear**2))
 
 
-def zener(stiffness: NDArray[np.float64]) -> tuple[float, float]:
+def zener(stiffness: F64) -> tuple[float, float]:
     """Zener's ratio 2 C44 / (C11 - C12) of the means of the entries, and how far the structure is from cubic.
 
     Returns

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F64
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Tensor indices of the Voigt indices."""
@@ -19,7 +20,7 @@ SOFT = 1e-7
 leave of a mechanism, far more than rounding."""
 
 
-def isotropic(young: float, poisson: float) -> NDArray[np.float64]:
+def isotropic(young: float, poisson: float) -> F64:
     """The stiffness of an isotropic material, (6, 6).
 
     Parameters
@@ -38,7 +39,7 @@ def lame(young: Any, poisson: Any) -> tuple[Any, Any]:
     return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
 
 
-def from_lame(lam: float, mu: float) -> NDArray[np.float64]:
+def from_lame(lam: float, mu: float) -> F64:
     """The isotropic stiffness with Lamé's constants λ and μ, (6, 6)."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = lam
@@ -46,12 +47,12 @@ def from_lame(lam: float, mu: float) -> NDArray[np.float64]:
     return matrix
 
 
-def mandel(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
+def mandel(stiffness: F64) -> F64:
     """The same in Mandel's basis, which is orthonormal: eigenvalues and norms are those of the tensor, (6, 6)."""
     return np.asarray(stiffness, np.float64) * np.outer(_WEIGHT, _WEIGHT)
 
 
-def tensor(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
+def tensor(stiffness: F64) -> F64:
     """The tensor of fourth rank, (3, 3, 3, 3)."""
     full = np.empty((3, 3, 3, 3))
     for row, (i, j) in enumerate(PAIRS):
@@ -63,12 +64,12 @@ def tensor(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
     return full
 
 
-def from_tensor(full: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_tensor(full: F64) -> F64:
     """The Voigt matrix of a tensor of fourth rank with the minor symmetries, (6, 6)."""
     return np.array([[full[i, j, k, m] for k, m in PAIRS] for i, j in PAIRS])
 
 
-def rotated(stiffness: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotated(stiffness: F64, rotation: F64) -> F64:
     """The stiffness of a body that was turned by `rotation`, (6, 6).
 
     Parameters
@@ -80,7 +81,7 @@ def rotated(stiffness: NDArray[np.float64], rotation: NDArray[np.float64]) -> ND
     return from_tensor(np.einsum("ai,bj,ck,dm,ijkm->abcd", rotation, rotation, rotation, rotation, tensor(stiffness)))
 
 
-def null_space(stiffness: NDArray[np.float64], soft: float = SOFT) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def null_space(stiffness: F64, soft: float = SOFT) -> tuple[F64, F64]:
     """Eigenvalues and eigenvectors in Mandel's basis; those that count as zero are exactly zero.
 
     Returns
@@ -93,18 +94,18 @@ def null_space(stiffness: NDArray[np.float64], soft: float = SOFT) -> tuple[NDAr
     return np.where(values > soft * max(values[-1], 0.0), values, 0.0), vectors
 
 
-def compliance(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
+def compliance(stiffness: F64) -> F64:
     """The compliance in Voigt's notation, (6, 6); infinite entries where the structure has no stiffness are left out.
 
     That is the pseudo-inverse in Mandel's basis: strains that meet no resistance are not counted.
     """
     values, vectors = null_space(stiffness)
     inverse = np.divide(1.0, values, out=np.zeros(6), where=values > 0)
-    full: NDArray[np.float64] = (vectors * inverse) @ vectors.T * np.outer(_WEIGHT, _WEIGHT)
+    full: F64 = (vectors * inverse) @ vectors.T * np.outer(_WEIGHT, _WEIGHT)
     return full
 
 
-def engineering_constants(stiffness: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def engineering_constants(stiffness: F64) -> dict[str, F64]:
     """Moduli and Poisson's ratios along the axes.
 
     Returns

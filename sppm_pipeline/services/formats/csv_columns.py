@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.formats.input_file import require_file
 
 LARGEST_FILE = 2**33
@@ -24,7 +24,7 @@ MAX_ROWS = 5_000_000
 _LONGEST_LINE = 1 << 16
 
 
-def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDArray[np.float64]:
+def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> F64:
     """Numbers of named columns, (rows, len(names)); with `gaps`, a field may be empty, which makes it NaN.
 
     The first line names the columns, in any case; commas, semicolons, tabs or blanks separate them. An error names a
@@ -52,7 +52,7 @@ def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDA
         try:
             with warnings.catch_warnings():  # of lines without data
                 warnings.simplefilter("ignore")
-                rows: NDArray[np.float64] = np.loadtxt(
+                rows: F64 = np.loadtxt(
                     file, delimiter=separator, comments="#", usecols=places, ndmin=2, max_rows=MAX_ROWS + 1,
                     quotechar='"', converters=converters,
                 )  # fmt: skip

@@ -28,8 +28,8 @@ _POWERS = 10 ** np.arange(19, dtype=np.int64)
 class Words(NamedTuple):
     """The text before the first, second and third number of a row, and after the third."""
 
-    texts: NDArray[np.uint64]  # (4, 2): up to 16 characters each, the first one in the lowest byte
-    lengths: NDArray[np.int64]
+    texts: U64  # (4, 2): up to 16 characters each, the first one in the lowest byte
+    lengths: I64
 
     @classmethod
     def of(cls, first: bytes, second: bytes, third: bytes, last: bytes) -> Words:

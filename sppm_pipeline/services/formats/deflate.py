@@ -12,9 +12,8 @@ Formats: RFC 1950 (zlib) and RFC 1951 (deflate), P. Deutsch, 1996; PNG, third ed
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.services.arrays import I32, I64, U8, U64
+from sppm_pipeline.services.arrays import I32, I64, U8, U16, U64
 from sppm_pipeline.services.bit_rows import bit_index
 from sppm_pipeline.services.formats.prefix_codes import (
     LONGEST_CODE,
@@ -84,7 +83,7 @@ def _png_order(word: np.uint64) -> np.uint64:
 
 
 @jit
-def _tokens(rows: U64, row_bytes: int) -> tuple[NDArray[np.uint16], I32, int]:
+def _tokens(rows: U64, row_bytes: int) -> tuple[U16, I32, int]:
     """The tokens of a picture, how often each occurs, and the check sum of its filtered bytes.
 
     Places count the filtered bytes from the first; `at` is the one of the last byte that a token describes. That byte
@@ -165,7 +164,7 @@ def _tokens(rows: U64, row_bytes: int) -> tuple[NDArray[np.uint16], I32, int]:
 
 
 @jit
-def _repeat(out: NDArray[np.uint16], n: int, counts: I32, value: int, times: int) -> int:
+def _repeat(out: U16, n: int, counts: I32, value: int, times: int) -> int:
     """Append the byte before, so many times."""
     while times >= _SHORTEST_RUN:
         length = min(times, _LONGEST_RUN)
@@ -181,7 +180,7 @@ def _repeat(out: NDArray[np.uint16], n: int, counts: I32, value: int, times: int
 
 
 @jit
-def _zeros(out: NDArray[np.uint16], n: int, counts: I32, zeros: int) -> int:
+def _zeros(out: U16, n: int, counts: I32, zeros: int) -> int:
     """Append zeros after another byte."""
     if zeros == 0:
         return n
@@ -229,7 +228,7 @@ def _symbol_counts(counts: I32) -> I64:
 
 @jit
 def _written(
-    tokens: NDArray[np.uint16], counts: I32, check: int, lengths: I32, used: int, short: I32, symbols: I32, extras: I32
+    tokens: U16, counts: I32, check: int, lengths: I32, used: int, short: I32, symbols: I32, extras: I32
 ) -> U8:
     """The stream: header, one block with codes of its own, check sum.
 

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.arrays import F32, F64, I32, U8
 from sppm_pipeline.services.jit.compiled import Intrinsic, jit
 from sppm_pipeline.services.paging import blocks, release
 from sppm_pipeline.services.threads import ordered_map
 
-Bytes = NDArray[np.uint8]
+Bytes = U8
 
 ROWS_AT_ONCE = 65536
 """Rows of a block: a few megabytes, which the allocator reuses and a cache partly holds."""
@@ -29,7 +30,7 @@ class Written(NamedTuple):
     """A mesh as the encoders need it, C-contiguous."""
 
     points: NDArray[np.floating]  # (n, 3), float32 or float64
-    faces: NDArray[np.int32]
+    faces: I32
     largest: float  # the largest absolute coordinate
 
 
@@ -42,8 +43,8 @@ class InPieces(NamedTuple):
     """
 
     head: bytes
-    front: Callable[[NDArray[np.float64], int, NDArray[np.int32]], memoryview]
-    back: Callable[[NDArray[np.int32]], memoryview] | None = None
+    front: Callable[[F64, int, I32], memoryview]
+    back: Callable[[I32], memoryview] | None = None
     back_at: int | None = None  # where these begin; None if that is known at the end only
     # of the largest absolute coordinate: whether this is the file that `encode` makes
     fits: Callable[[float], bool] = np.isfinite
@@ -74,7 +75,7 @@ def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Wr
     return Written(points, np.ascontiguousarray(faces, np.int32), extreme)
 
 
-def within_float32(mesh: Written, format_name: str) -> NDArray[np.float32]:
+def within_float32(mesh: Written, format_name: str) -> F32:
     """The coordinates rounded to float32; see `require_float32`."""
     require_float32(mesh, format_name)
     return mesh.points.astype(np.float32, copy=False)

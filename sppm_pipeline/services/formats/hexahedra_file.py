@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
 
 READERS = {".vtu": "vtu", ".vtk": "vtk", ".inp": "abaqus", ".msh": "gmsh"}
@@ -26,8 +26,8 @@ IGNORED = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", 
 class Hexahedra(NamedTuple):
     """Elements of a file."""
 
-    points: NDArray[np.float64]  # (n, 3) in the unit of the file
-    elements: NDArray[np.int64]  # (m, 8) corners, in VTK's order if the file is right
+    points: F64  # (n, 3) in the unit of the file
+    elements: I64  # (m, 8) corners, in VTK's order if the file is right
 
 
 def read_hexahedra(path: Path) -> Hexahedra:

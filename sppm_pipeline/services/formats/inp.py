@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.formats.volume_arrays import as_written, integer_rows, number_rows
 
 _TYPES = {4: "C3D4", 10: "C3D10"}
@@ -62,7 +63,7 @@ def _list(numbers: NDArray[np.integer]) -> Iterator[bytes]:
     yield from integer_rows(numbers[whole:].reshape(1, -1), ", ")
 
 
-def _constraints(points: NDArray[np.float64], standing: NDArray[np.integer], n: int) -> Iterator[bytes]:
+def _constraints(points: F64, standing: NDArray[np.integer], n: int) -> Iterator[bytes]:
     tied = np.flatnonzero(standing != np.arange(n))
     apart = points[tied] - points[standing[tied]]
     edge = np.abs(apart).max(axis=0, initial=0)
@@ -87,7 +88,7 @@ _LOADS = ((0, 0), (1, 1), (2, 2), (2, 1), (2, 0), (1, 0))
 
 
 def stiffness_job(
-    moduli: Mapping[int, tuple[float, float]], standing: NDArray[np.integer], box: NDArray[np.float64]
+    moduli: Mapping[int, tuple[float, float]], standing: NDArray[np.integer], box: F64
 ) -> Iterator[bytes]:
     """Materials and six static steps behind a mesh whose copies are tied: a mean stress of one in each of them.
 
@@ -112,7 +113,7 @@ def stiffness_job(
     yield ("\n".join(lines) + "\n").encode()
 
 
-def abaqus_constants(stiffness: NDArray[np.float64]) -> list[float]:
+def abaqus_constants(stiffness: F64) -> list[float]:
     """The 21 constants D1111, D1122, D2222, D1133, ... D2323 of Abaqus and CalculiX, column by column.
 
     The stiffness (6, 6) is in Voigt order xx, yy, zz, yz, xz, xy.
@@ -121,7 +122,7 @@ def abaqus_constants(stiffness: NDArray[np.float64]) -> list[float]:
     return [float(ordered[row, column]) for column in range(6) for row in range(column + 1)]
 
 
-def abaqus_card(name: str, stiffness: NDArray[np.float64], comments: list[str]) -> str:
+def abaqus_card(name: str, stiffness: F64, comments: list[str]) -> str:
     """A ``*MATERIAL`` with ``*ELASTIC, TYPE=ANISO``, as Abaqus and CalculiX read it, below lines of comments.
 
     The name has letters, digits, ``_`` and ``-``, and begins with a letter.

@@ -13,13 +13,13 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.services.arrays import F32, F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
 
-DecodedMesh = tuple[NDArray[np.float64], NDArray[np.int64]]
+DecodedMesh = tuple[F64, I64]
 
 Groups = tuple[tuple[str, int, int], ...]
 """Named stretches of triangles, first <= i < last."""
 
 
-Matrix = NDArray[np.float64]
+Matrix = F64
 """(3, 4): turn, scale or shear in the first three columns, the shift in the last one."""
 
 IDENTITY: Matrix = np.eye(3, 4)
@@ -243,5 +243,5 @@ def _move(matrices: F64, corners: F64, out: F64) -> None:
 def _determinants(matrices: F64) -> F64:
     a, b, c = (matrices[:, axis, :3] for axis in range(3))
     with np.errstate(over="ignore", invalid="ignore"):
-        found: NDArray[np.float64] = (a * np.cross(b, c)).sum(axis=1)
+        found: F64 = (a * np.cross(b, c)).sum(axis=1)
     return found

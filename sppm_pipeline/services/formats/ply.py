@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.formats.encoding import Bytes, InPieces, as_written, in_blocks, little_endian, store4
 from sppm_pipeline.services.formats.mesh_arrays import (
     DecodedMesh,
@@ -233,7 +234,7 @@ def _binary(
 class _Rows(NamedTuple):
     """Rows of an element whose lists are of the same lengths."""
 
-    numbers: NDArray[np.int64]
+    numbers: I64
     values: NDArray[Any]  # fields ``p0``, ``p1`` ... are the properties, ``n0``, ``n1`` ... the lengths of lists
 
 
@@ -314,9 +315,7 @@ def _fail_row(name: str, element: _Element, row: int, begin: int, size: int) -> 
     )
 
 
-def _positions(
-    groups: list[_Rows], count: int, xyz: tuple[int, int, int], start: int, name: str
-) -> NDArray[np.float64]:
+def _positions(groups: list[_Rows], count: int, xyz: tuple[int, int, int], start: int, name: str) -> F64:
     vertices = np.empty((count, 3))
     with np.errstate(invalid="ignore"):  # signaling NaN complain when they are converted
         for group in groups:
@@ -329,7 +328,7 @@ def _positions(
     return vertices
 
 
-def _triangles(groups: list[_Rows], corners: int, n_vertices: int, start: int, name: str) -> NDArray[np.int64]:
+def _triangles(groups: list[_Rows], corners: int, n_vertices: int, start: int, name: str) -> I64:
     """The fans of all polygons, in the order of the file."""
     fans, numbers = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
     for group in groups:
@@ -382,14 +381,14 @@ def _head_of(vertices: int, faces: int, kind: str) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _face_records(faces: NDArray[np.int32]) -> memoryview:
+def _face_records(faces: I32) -> memoryview:
     out = np.empty(_FACE_RECORD * faces.shape[0], np.uint8)
     _put_faces(out, faces)
     return out.data
 
 
 @jit
-def _put_faces(out: Bytes, faces: NDArray[np.int32]) -> None:
+def _put_faces(out: Bytes, faces: I32) -> None:
     for row in range(faces.shape[0]):
         i = 13 * row
         out[i] = 3

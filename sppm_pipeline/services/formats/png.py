@@ -15,8 +15,8 @@ import struct
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import U8, U64, Bools
 from sppm_pipeline.services.bit_rows import pack
 from sppm_pipeline.services.formats.deflate import deflated_rows
 
@@ -28,7 +28,7 @@ _LONGEST = 2**31 - 1  # of an integer in a chunk
 
 
 def encode_layer(
-    image: NDArray[np.uint8] | NDArray[np.bool_],
+    image: U8 | Bools,
     bits: int = 1,
     level: int = 1,
     pixel_mm: tuple[float, float] | None = None,
@@ -70,7 +70,7 @@ def encode_layer(
     return _file(columns, height, bits, color, data, pixel_mm)
 
 
-def encode_rows(rows: NDArray[np.uint64], width: int, pixel_mm: tuple[float, float] | None = None) -> bytes:
+def encode_rows(rows: U64, width: int, pixel_mm: tuple[float, float] | None = None) -> bytes:
     """A layer of black and white that is there as bits: the same file as that of `encode_layer` with one bit.
 
     The rows (h, words), from the top, are set where white, see `services.bit_rows`.

@@ -6,15 +6,15 @@ Format: RFC 1951, P. Deutsch, 1996.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
 LONGEST_CODE, LONGEST_OF_LENGTHS = 15, 7
 """Bits of the longest code, and of the longest in which lengths are written."""
 
 
-def code_lengths(counts: NDArray[np.int64], longest: int) -> NDArray[np.int32]:
+def code_lengths(counts: I64, longest: int) -> I32:
     """Lengths of a prefix code for symbols that occur so often, at most `longest`; 0 for those that don't."""
     # keys are all different, so that any way of sorting gives the same order
     keys = np.sort(counts * 512 + np.arange(counts.size))
@@ -22,7 +22,7 @@ def code_lengths(counts: NDArray[np.int64], longest: int) -> NDArray[np.int32]:
 
 
 @jit
-def _lengths(keys: NDArray[np.int64], symbols: int, longest: int) -> NDArray[np.int32]:
+def _lengths(keys: I64, symbols: int, longest: int) -> I32:
     """The same from 512 times the count, plus the symbol, in ascending order."""
     lengths = np.zeros(symbols, np.int32)
     n = keys.size
@@ -73,7 +73,7 @@ def _lengths(keys: NDArray[np.int64], symbols: int, longest: int) -> NDArray[np.
 
 
 @jit
-def prefix_codes(lengths: NDArray[np.int32]) -> NDArray[np.uint64]:
+def prefix_codes(lengths: I32) -> U64:
     """The canonical codes of some lengths (RFC 1951, section 3.2.2), their first bit lowest."""
     codes = np.zeros(lengths.size, np.uint64)
     code = 0
@@ -90,7 +90,7 @@ def prefix_codes(lengths: NDArray[np.int32]) -> NDArray[np.uint64]:
 
 
 @jit
-def lengths_packed(lengths: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def lengths_packed(lengths: I32) -> tuple[I32, I32]:
     """The lengths of codes as symbols with extra values: 16 repeats the last, 17 and 18 are zeros (section 3.2.7)."""
     symbols = np.zeros(lengths.size, np.int32)
     extras = np.zeros(lengths.size, np.int32)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError, InputError
+from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.formats.encoding import (
     Bytes,
     InPieces,
@@ -90,7 +91,7 @@ def decode_with_groups(data: bytes | memoryview | bytearray, name: str) -> tuple
     return (corners[first].astype(np.float64), faces.astype(np.int64)), named.groups(len(faces))
 
 
-def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float32]:
+def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> F32:
     if len(data) < _HEADER:
         raise InputError(
             f"{name}: {len(data)} bytes are too few for a binary STL, whose header alone takes {_HEADER}, "
@@ -116,7 +117,7 @@ def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[
     return corners
 
 
-def _ascii_corners(data: bytes | memoryview | bytearray, name: str, named: GroupLog) -> NDArray[np.float64]:
+def _ascii_corners(data: bytes | memoryview | bytearray, name: str, named: GroupLog) -> F64:
     lines = Lines(data, name, comment=b"")
     coordinates = array("d")
     words = _words(lines, lambda solid: named.begin("solid", solid, len(coordinates) // 9))
@@ -185,14 +186,14 @@ def _head_of(faces: int) -> bytes:
     return b"binary STL written by sppm".ljust(80) + faces.to_bytes(4, "little")
 
 
-def _records(points: NDArray[np.floating], faces: NDArray[np.int32]) -> memoryview:
+def _records(points: NDArray[np.floating], faces: I32) -> memoryview:
     out = np.empty(_RECORD * faces.shape[0], np.uint8)
     _put_triangles(out, points, faces)
     return out.data
 
 
 @jit
-def _put_triangles(out: Bytes, points: NDArray[np.floating], faces: NDArray[np.int32]) -> None:
+def _put_triangles(out: Bytes, points: NDArray[np.floating], faces: I32) -> None:
     """Records of the normal, the corners and two bytes of nothing."""
     rounded = np.empty((4, 3), np.float32)  # the normal and the corners
     bits = rounded.view(np.uint32)

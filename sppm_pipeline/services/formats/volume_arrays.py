@@ -7,13 +7,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I32, U8
+
 _CHUNK = 20000
 """Rows that are turned into text together."""
 
 
 def as_written(
     nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.uint8]]:
+) -> tuple[F64, I32, U8]:
     """The arrays as the encoders need them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous."""
     points = np.ascontiguousarray(nodes, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or cells.ndim != 2 or cells.shape[1] not in (4, 10):
@@ -27,7 +29,7 @@ def as_written(
     return points, np.ascontiguousarray(cells, np.int32), np.ascontiguousarray(materials, np.uint8)
 
 
-def number_rows(rows: NDArray[np.float64], separator: str, first: int | None = None) -> Iterator[bytes]:
+def number_rows(rows: F64, separator: str, first: int | None = None) -> Iterator[bytes]:
     """Lines of floats, each in the shortest text that reads back the same; numbered from `first` if it is given."""
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK].tolist()

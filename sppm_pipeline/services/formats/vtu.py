@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, I32
 from sppm_pipeline.services.formats.volume_arrays import as_written
 
 VTK_TYPES = {4: 10, 10: 24}
@@ -36,9 +37,7 @@ def encode(
     return _encoded(points, corners, VTK_TYPES[corners.shape[1]], {"material": materials}, compress)
 
 
-def encode_hexahedra(
-    nodes: NDArray[np.float32], cells: NDArray[np.int32], data: Mapping[str, NDArray[Any]]
-) -> Iterator[bytes]:
+def encode_hexahedra(nodes: F32, cells: I32, data: Mapping[str, NDArray[Any]]) -> Iterator[bytes]:
     """A VTU file of hexahedra, piece by piece.
 
     Parameters
@@ -53,11 +52,7 @@ def encode_hexahedra(
 
 
 def _encoded(
-    points: NDArray[np.floating],
-    corners: NDArray[np.int32],
-    kind: int,
-    data: Mapping[str, NDArray[Any]],
-    compress: bool,
+    points: NDArray[np.floating], corners: I32, kind: int, data: Mapping[str, NDArray[Any]], compress: bool
 ) -> Iterator[bytes]:
     count, per_cell = corners.shape
     arrays = {

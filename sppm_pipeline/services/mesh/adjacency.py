@@ -26,10 +26,10 @@ NON_MANIFOLD = -2
 class Adjacency(NamedTuple):
     """The result of `adjacency`."""
 
-    opposite: NDArray[np.int64]  # (3 m,): the other half-edge; `BOUNDARY` or `NON_MANIFOLD` if there is no single one
-    fans: NDArray[np.int64]  # (3 m,), of each corner, numbered from 0 in the order of their first corners
+    opposite: I64  # (3 m,): the other half-edge; `BOUNDARY` or `NON_MANIFOLD` if there is no single one
+    fans: I64  # (3 m,), of each corner, numbered from 0 in the order of their first corners
     fan_count: int
-    surfaces: NDArray[np.int64]  # (m,), what is connected across opposite half-edges, numbered likewise
+    surfaces: I64  # (m,), what is connected across opposite half-edges, numbered likewise
     surface_count: int
     non_manifold_vertices: int  # those with several fans: surfaces touch in the vertex, or along a non-manifold edge
 
@@ -37,9 +37,9 @@ class Adjacency(NamedTuple):
 class BoundaryLoops(NamedTuple):
     """The boundaries of the holes, each a closed loop of edges; a loop that touches itself is split there."""
 
-    edges: NDArray[np.int64]  # number of edges of each loop
-    lengths: NDArray[np.float64]
-    sizes: NDArray[np.float64]  # diagonals of their bounding boxes
+    edges: I64  # number of edges of each loop
+    lengths: F64
+    sizes: F64  # diagonals of their bounding boxes
 
 
 def adjacency(faces: NDArray[np.integer]) -> Adjacency:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
 DEPTH = 64
@@ -23,13 +23,13 @@ _LEAF = 4  # triangles in a leaf, at most
 class BoxTree(NamedTuple):
     """The tree, and the triangles in its order."""
 
-    order: NDArray[np.int64]  # (m,): place i of the tree holds triangle order[i] of the mesh
-    triangles: NDArray[np.float64]  # (m, 3, 3) corners, in the order of the tree
-    boxes: NDArray[np.float64]  # (2 leaves - 1, 6), low and high corner; without triangles the low one is at infinity
-    starts: NDArray[np.int64]  # (leaves + 1,): leaf k holds the places starts[k] to starts[k + 1]
+    order: I64  # (m,): place i of the tree holds triangle order[i] of the mesh
+    triangles: F64  # (m, 3, 3) corners, in the order of the tree
+    boxes: F64  # (2 leaves - 1, 6), low and high corner; without triangles the low one is at infinity
+    starts: I64  # (leaves + 1,): leaf k holds the places starts[k] to starts[k + 1]
 
 
-def box_tree(triangles: NDArray[np.float64]) -> BoxTree:
+def box_tree(triangles: F64) -> BoxTree:
     """Build the tree of triangles (m, 3, 3), at least one, with finite coordinates."""
     if triangles.shape[0] == 0:
         raise ValueError("a tree needs a triangle")
@@ -47,7 +47,7 @@ def box_tree(triangles: NDArray[np.float64]) -> BoxTree:
 
 
 @jit
-def _morton(points: NDArray[np.float64], low: NDArray[np.float64], extent: float) -> NDArray[np.uint64]:
+def _morton(points: F64, low: F64, extent: float) -> U64:
     """The bits of the three coordinates, 21 each, one after the other."""
     codes = np.zeros(points.shape[0], np.uint64)
     for i in range(points.shape[0]):
@@ -62,7 +62,7 @@ def _morton(points: NDArray[np.float64], low: NDArray[np.float64], extent: float
 
 
 @jit
-def _boxes(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _boxes(triangles: F64, starts: I64) -> F64:
     leaves = starts.size - 1
     boxes = np.empty((2 * leaves - 1, 6))
     # from the leaves up: the children of a node come after it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
 BOUNDARY, NON_MANIFOLD = -1, -2
@@ -16,7 +17,7 @@ _LONG = 64
 """Lists of faces longer than this are not left to the insertion sort."""
 
 
-def face_neighbors(tets: NDArray[np.integer]) -> NDArray[np.int32]:
+def face_neighbors(tets: NDArray[np.integer]) -> I32:
     """Tetrahedron behind the face opposite of each corner (m, 4); further nodes than four are ignored.
 
     `BOUNDARY` if there is none, `NON_MANIFOLD` if three or more tetrahedra share the face.
@@ -33,19 +34,19 @@ def face_neighbors(tets: NDArray[np.integer]) -> NDArray[np.int32]:
     return neighbors
 
 
-def boundary_triangles(tets: NDArray[np.integer], neighbors: NDArray[np.int32]) -> NDArray[np.int32]:
+def boundary_triangles(tets: NDArray[np.integer], neighbors: I32) -> I32:
     """The faces with no tetrahedron behind them, (k, 3) int32, their normals pointing outward."""
     cell, corner = np.nonzero(neighbors == BOUNDARY)
     return np.ascontiguousarray(_corners(tets)[cell[:, None], FACES[corner]])
 
 
-def components(neighbors: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
+def components(neighbors: I32) -> tuple[int, I32]:
     """Connected components of a mesh, cells that share faces: their number, and that of each cell (m,) in order."""
     count, labels = _components(np.ascontiguousarray(neighbors, np.int32))
     return int(count), labels
 
 
-def _corners(tets: NDArray[np.integer]) -> NDArray[np.int32]:
+def _corners(tets: NDArray[np.integer]) -> I32:
     corners = np.ascontiguousarray(tets[:, :4], np.int32)
     if corners.size and corners.min() < 0:
         raise ValueError("nodes are numbered from 0")
@@ -53,7 +54,7 @@ def _corners(tets: NDArray[np.integer]) -> NDArray[np.int32]:
 
 
 @jit
-def _face_keys(tets: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64]]:
+def _face_keys(tets: I32, n: int) -> tuple[U64, I64, I64]:
     """For each face, by its smallest node, the other two in one number, and 4 m + i for face i of tetrahedron m.
 
     Those of node a begin at starts[a]; in each list the keys ascend, unless it is long.
@@ -90,9 +91,7 @@ def _face_keys(tets: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDA
 
 
 @jit
-def _match(
-    keys: NDArray[np.uint64], faces: NDArray[np.int64], starts: NDArray[np.int64], neighbors: NDArray[np.int32]
-) -> None:
+def _match(keys: U64, faces: I64, starts: I64, neighbors: I32) -> None:
     for a in range(starts.size - 1):
         p = starts[a]
         while p < starts[a + 1]:
@@ -108,7 +107,7 @@ def _match(
 
 
 @jit
-def _components(neighbors: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
+def _components(neighbors: I32) -> tuple[int, I32]:
     labels = np.full(neighbors.shape[0], -1, np.int32)
     waiting = np.empty(neighbors.shape[0], np.int32)
     count = 0

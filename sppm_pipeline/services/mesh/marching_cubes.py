@@ -22,7 +22,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8, U64
@@ -38,7 +37,7 @@ from sppm_pipeline.services.mesh.sign_words import (
     slab_counts,
 )
 
-Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+Mesh = tuple[F64, I32]
 
 #: Least distance of a vertex from the ends of its grid edge, as a fraction of that edge.
 EDGE_MARGIN = 2.0**-10

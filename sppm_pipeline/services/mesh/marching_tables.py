@@ -19,7 +19,8 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F64, U8
 
 # Corners of each face, counter-clockwise for a viewer outside the cube.
 _FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))
@@ -28,8 +29,8 @@ _FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), 
 class CaseTables(NamedTuple):
     """Triangles of every case; they turn counter-clockwise for a viewer in the void."""
 
-    counts: NDArray[np.uint8]  # (256,) triangles
-    triangles: NDArray[np.uint8]  # (256, 3 * maximum): edges of the cube, three a triangle, padded with zeros
+    counts: U8  # (256,) triangles
+    triangles: U8  # (256, 3 * maximum): edges of the cube, three a triangle, padded with zeros
 
 
 def _edge(a: int, b: int) -> int:
@@ -114,7 +115,7 @@ def case_tables() -> CaseTables:
 
 
 @cache
-def separations() -> NDArray[np.float64]:
+def separations() -> F64:
     """Planes that keep the polygons of a cube apart, (256 cases, 6 faces, 3 planes, 4).
 
     Where the surface passes through a cube in several polygons, and through one of its faces once, a point (x, y, z) of
@@ -135,7 +136,7 @@ def separations() -> NDArray[np.float64]:
     return planes
 
 
-def _plane_between(own: list[int], other: list[int]) -> NDArray[np.float64]:
+def _plane_between(own: list[int], other: list[int]) -> F64:
     """A plane ``a x + b y + c z = d`` with all points of some edges of the cube below, and all of others above it.
 
     Edges may end in the plane, as vertices are never at their ends. Of all planes whose normals consist of -1, 0 and 1
@@ -153,7 +154,7 @@ def _plane_between(own: list[int], other: list[int]) -> NDArray[np.float64]:
 
 
 @cache
-def _along_normals() -> tuple[NDArray[np.float64], ...]:
+def _along_normals() -> tuple[F64, ...]:
     """Normals (26, 3), and how far along them the 12 edges of the cube begin, have their middles, and end."""
     normals = np.array([n for n in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(n)])
     middles = np.array([_middle(edge) for edge in range(12)]) / 2

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64, I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
@@ -30,7 +29,7 @@ DECISIVE = 0.2
 class Orientation(NamedTuple):
     """The result of `orient`."""
 
-    faces: NDArray[np.int32]  # wound outwards as far as that could be determined
+    faces: I32  # wound outwards as far as that could be determined
     turned: int  # triangles that were turned
     patches: int  # pieces within which agreement spreads
     one_sided: int  # patches that cannot be made to agree, as a Möbius strip
@@ -39,9 +38,9 @@ class Orientation(NamedTuple):
 class Shells(NamedTuple):
     """The pieces of a closed mesh that share no vertex."""
 
-    labels: NDArray[np.int32]  # of each triangle
-    volumes: NDArray[np.float64]  # negative where the normals point inwards
-    around: NDArray[np.int64]  # how often the other pieces go around the first corner of each piece
+    labels: I32  # of each triangle
+    volumes: F64  # negative where the normals point inwards
+    around: I64  # how often the other pieces go around the first corner of each piece
 
     @property
     def cavities(self) -> Bools:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
@@ -36,8 +35,8 @@ SNAP = COINCIDENT / 4
 class OuterSurface(NamedTuple):
     """The result of `outer_surface`."""
 
-    triangles: NDArray[np.float64]  # (k, 3, 3) corners of the pieces
-    owners: NDArray[np.int64]  # (k,), the triangle of the mesh that each is a piece of
+    triangles: F64  # (k, 3, 3) corners of the pieces
+    owners: I64  # (k,), the triangle of the mesh that each is a piece of
     volume: float  # of the union; not a number for a mesh that bounds no solid
 
 

@@ -8,8 +8,8 @@ arithmetic and fast robust geometric predicates"). Products that leave the range
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.jit.compiled import jit
 
 # bounds of the error over the sum of the terms' sizes, from the same paper
@@ -19,9 +19,7 @@ _SPLIT = 134217729.0  # 2^27 + 1
 
 
 @jit
-def side_of_plane(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], p: NDArray[np.float64]
-) -> int:
+def side_of_plane(a: F64, b: F64, c: F64, p: F64) -> int:
     """Sign of the determinant of (a - p, b - p, c - p): 1 if a, b, c turn clockwise seen from p, 0 in the plane."""
     ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
     bx, by, bz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
@@ -55,7 +53,7 @@ def side_of_line(ax: float, ay: float, bx: float, by: float, px: float, py: floa
 
 
 @jit
-def _add(total: NDArray[np.float64], n: int, value: float) -> int:
+def _add(total: F64, n: int, value: float) -> int:
     """Add a double to a sum of n doubles that do not overlap, smallest first; the new n."""
     kept = 0
     for i in range(n):
@@ -92,7 +90,7 @@ def _product(x: float, y: float) -> tuple[float, float]:
 
 
 @jit
-def _exact_side(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], p: NDArray[np.float64]) -> int:
+def _exact_side(a: F64, b: F64, c: F64, p: F64) -> int:
     # the differences, as two doubles each
     parts = np.empty((3, 3, 2))
     for k in range(3):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import jit
@@ -48,8 +47,8 @@ def exits_along(tree: BoxTree, origins: F64, directions: F64, own: I64, both: bo
 class WallThickness(NamedTuple):
     """The result of `wall_thickness`."""
 
-    thickness: NDArray[np.float64]  # at points that stand for equal areas; infinity where a ray leaves nowhere
-    points: NDArray[np.float64]
+    thickness: F64  # at points that stand for equal areas; infinity where a ray leaves nowhere
+    points: F64
 
     def quantile(self, share: float) -> float:
         """The thickness that this fraction of the area is below."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sppm_pipeline.services.arrays import F64
 
 
-def rotation(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
+def rotation(degrees: tuple[float, float, float]) -> F64:
     """The matrix (3, 3) of right-handed turns about x, then y, then z, degrees; quarter turns are exact."""
     total = np.eye(3)
     for axis, angle in enumerate(degrees):
@@ -20,13 +21,13 @@ def rotation(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
     return total
 
 
-def upright(up: str) -> NDArray[np.float64]:
+def upright(up: str) -> F64:
     """The rotation (3, 3) that turns the axis `up`, ``x``, ``y`` or ``z``, into z."""
     x, y, z = np.eye(3)
     return {"x": np.array([y, z, x]), "y": np.array([x, -z, y]), "z": np.eye(3)}[up]
 
 
-def rotated(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotated(points: F64, matrix: F64) -> F64:
     """Points (n, 3) after a rotation (3, 3); BLAS, whose sums depend on its threads, is left out."""
     x, y, z = points.T
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=1)

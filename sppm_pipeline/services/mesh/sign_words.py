@@ -7,8 +7,8 @@ of a row would cost a reference count at every call, so the kernels take the pla
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F32, U8, U64
 from sppm_pipeline.services.bit_rows import gather, set_bits
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
@@ -17,13 +17,13 @@ _LAST = np.uint64(63)
 
 
 @inline_jit
-def _below(row: NDArray[np.float32], level: np.float32, flags: NDArray[np.uint8]) -> None:
+def _below(row: F32, level: np.float32, flags: U8) -> None:
     for i in range(row.size):
         flags[i] = row[i] < level
 
 
 @jit
-def pack_signs(slab: NDArray[np.float32], level: np.float32, words: NDArray[np.uint64]) -> None:
+def pack_signs(slab: F32, level: np.float32, words: U64) -> None:
     """Fill the words (nz, ny, ceil(nx / 64)) of a slab (nz, ny, nx)."""
     n_words = words.shape[2]
     flags = np.zeros(64 * n_words, np.uint8)
@@ -48,7 +48,7 @@ def lowest(word: np.uint64) -> int:
 
 
 @jit
-def shifted_word(words: NDArray[np.uint64], j: int, w: int) -> np.uint64:
+def shifted_word(words: U64, j: int, w: int) -> np.uint64:
     """Word w of row j moved down by one: bit i holds sample i + 1."""
     word: np.uint64 = words[j, w] >> ONE
     if w + 1 < words.shape[1]:
@@ -66,7 +66,7 @@ def cells_mask(w: int, nx: int) -> np.uint64:
 
 
 @jit
-def plane_crossings(words: NDArray[np.uint64], nx: int) -> int:
+def plane_crossings(words: U64, nx: int) -> int:
     """Number of edges along x and y within one plane of samples that the surface crosses."""
     ny, n_words = words.shape
     n = 0
@@ -79,7 +79,7 @@ def plane_crossings(words: NDArray[np.uint64], nx: int) -> int:
 
 
 @jit
-def mixed_cells(low: NDArray[np.uint64], high: NDArray[np.uint64], j: int, w: int, nx: int) -> np.uint64:
+def mixed_cells(low: U64, high: U64, j: int, w: int, nx: int) -> np.uint64:
     """The cubes between rows j and j + 1 of two planes whose corners are not all alike."""
     s0, s1, s2, s3 = low[j, w], low[j + 1, w], high[j, w], high[j + 1, w]
     n0, n1, n2, n3 = (
@@ -94,7 +94,7 @@ def mixed_cells(low: NDArray[np.uint64], high: NDArray[np.uint64], j: int, w: in
 
 
 @jit
-def _layer_counts(low: NDArray[np.uint64], high: NDArray[np.uint64], nx: int) -> tuple[int, int]:
+def _layer_counts(low: U64, high: U64, nx: int) -> tuple[int, int]:
     """Number of crossed edges along z, and of cubes with the surface in them, between two planes."""
     ny, n_words = low.shape
     edges = 0
@@ -108,7 +108,7 @@ def _layer_counts(low: NDArray[np.uint64], high: NDArray[np.uint64], nx: int) ->
 
 
 @jit
-def slab_counts(words: NDArray[np.uint64], nx: int, first: bool) -> tuple[int, int]:
+def slab_counts(words: U64, nx: int, first: bool) -> tuple[int, int]:
     """Number of vertices, and a bound on the number of triangles, that `_emit` will make.
 
     A loop of n edges makes n - 2 triangles, a cube with the surface in it has at least one loop, an edge touches at

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import jit
@@ -23,11 +22,11 @@ FAR_RADII = 3.0
 class Dipoles(NamedTuple):
     """A tree (see `BoxTree`) with what its nodes look like from afar."""
 
-    triangles: NDArray[np.float64]
-    boxes: NDArray[np.float64]
-    starts: NDArray[np.int64]
+    triangles: F64
+    boxes: F64
+    starts: I64
     # (nodes, 7): middle by area (3), sum of the area vectors (3), and radius around the middle
-    poles: NDArray[np.float64]
+    poles: F64
 
 
 def dipoles(tree: BoxTree) -> Dipoles:

@@ -11,6 +11,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.multigrid.rows import APPLY, BLOCK, HEAD, LANES, RESIDUAL, SMOOTH, STRIDE
 from sppm_pipeline.services.multigrid.transfer import NodalTransfer
 from sppm_pipeline.services.multigrid.vectors import dense_product, dot, weighted
@@ -89,7 +90,7 @@ class Body(Level, Protocol):
 
     edges: tuple[float, float, float]
 
-    def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
+    def forces(self, load: F64, out: NDArray[Any], work: Workspace) -> None:
         """Nodal forces of a constant load, a mean strain or gradient, written to `out`."""
         ...
 
@@ -214,7 +215,7 @@ class Hierarchy:
 
     levels: list[Level]
     transfers: Sequence[Transfer]
-    inverse: NDArray[np.float64]
+    inverse: F64
     scratch_rows: int
     twice: bool
     planar: bool = False
@@ -342,7 +343,7 @@ def _largest_eigenvalue(level: Level, work: Workspace) -> float:
     return max(1.0, float(largest))
 
 
-def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
+def _inverse(level: Level, work: Workspace) -> F64:
     """Pseudo-inverse of the matrix of a small level: translations and disconnected parts have no stiffness."""
     size = level.components * level.weight.size
     matrix = np.empty((size, size))

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.multigrid.hierarchy import Body, Hierarchy, PlanarLevel, Workspace
 from sppm_pipeline.services.multigrid.rows import APPLY
 from sppm_pipeline.services.multigrid.vectors import dot, step, turn
@@ -89,7 +90,7 @@ class Measure(Protocol):
         """Measure a solution, after all cases before it have been kept; `spare` is scratch of its length."""
         ...
 
-    def energies(self, threads: int) -> NDArray[np.float64]:
+    def energies(self, threads: int) -> F64:
         """Mutual energies of all load cases over the volume, (m, m)."""
         ...
 
@@ -176,13 +177,7 @@ def _turn_apply(hierarchy: Hierarchy, z: NDArray[Any], beta: float, p: NDArray[A
 
 
 def _nested_start(
-    hierarchy: Hierarchy,
-    b: NDArray[Any],
-    u: NDArray[Any],
-    p: NDArray[Any],
-    work: Workspace,
-    iterations: int,
-    rr: float,
+    hierarchy: Hierarchy, b: NDArray[Any], u: NDArray[Any], p: NDArray[Any], work: Workspace, iterations: int, rr: float
 ) -> tuple[float, float]:
     """Set `u` to the solution on the next coarser grid, as far as that lowers the energy.
 
@@ -231,13 +226,13 @@ def remaining(gains: list[float]) -> float:
 def load_cases(
     hierarchy_of: Callable[[np.dtype[Any], bool], Hierarchy],
     measure_of: Callable[[Hierarchy], Measure],
-    mean: NDArray[np.float64],
+    mean: F64,
     stop: Stop,
     floor: float,
     dtype: np.dtype[Any],
     threads: int,
     nested: int = 0,
-) -> tuple[NDArray[np.float64], tuple[Solved, ...], str]:
+) -> tuple[F64, tuple[Solved, ...], str]:
     """Solve one load case for each constant load, and return the mutual energies of the solutions over the volume.
 
     If the preconditioner turns out not to be positive definite, all is solved again with a safe one; if rounding
@@ -288,13 +283,7 @@ def load_cases(
 
 
 def _solve_all(
-    hierarchy: Hierarchy,
-    measure: Measure,
-    energy: NDArray[np.float64],
-    stop: Stop,
-    floor: float,
-    threads: int,
-    nested: int,
+    hierarchy: Hierarchy, measure: Measure, energy: F64, stop: Stop, floor: float, threads: int, nested: int
 ) -> tuple[Solved, ...]:
     level = cast(Body, hierarchy.levels[0])
     count, length = len(energy), level.components * level.weight.size

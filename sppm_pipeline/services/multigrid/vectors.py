@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I16
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
 # Sums are closed after so many terms: long vectors lose no digits, and the order does not depend on anything.
@@ -85,7 +86,7 @@ def turn(z: NDArray[Any], beta: Any, p: NDArray[Any]) -> None:
 
 
 @jit
-def dense_product(matrix: NDArray[np.float64], r: NDArray[Any], z: NDArray[Any]) -> None:
+def dense_product(matrix: F64, r: NDArray[Any], z: NDArray[Any]) -> None:
     """``z = matrix r`` for the coarsest grid."""
     for i in range(len(z)):
         total = 0.0
@@ -103,13 +104,13 @@ def _largest(a: NDArray[Any], start: Any, stop: Any) -> Any:
 
 
 @inline_jit
-def _pack(a: NDArray[Any], factor: Any, out: NDArray[np.int16], n: Any) -> None:
+def _pack(a: NDArray[Any], factor: Any, out: I16, n: Any) -> None:
     for i in range(n):
         out[i] = np.int16(np.rint(factor * a[i]))
 
 
 @jit
-def pack(a: NDArray[Any], out: NDArray[np.int16]) -> float:
+def pack(a: NDArray[Any], out: I16) -> float:
     """Round a finite flat vector to 16 bits; returns the step."""
     largest = _largest(a, _0, np.uint64(len(a)))
     if not largest > 0:

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.services.arrays import F64
@@ -34,8 +33,8 @@ class Camera(NamedTuple):
 class Frame(NamedTuple):
     """A camera that has been pointed at a part."""
 
-    axes: NDArray[np.float64]  # (3, 3) unit vectors right, up, and towards the viewer, as rows
-    target: NDArray[np.float64]  # the point that is looked at; the origin of view coordinates
+    axes: F64  # (3, 3) unit vectors right, up, and towards the viewer, as rows
+    target: F64  # the point that is looked at; the origin of view coordinates
     distance: float  # of the viewer from the target; 0 for the orthographic view
     scale: float  # pixels per unit of length at the target
     column: float  # where the target lands, in pixels; pixel (r, c) covers r..r+1 and c..c+1
@@ -63,11 +62,7 @@ def framed(camera: Camera, points: F64, size: tuple[int, int], margin: float = 0
     azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
     cos_a, sin_a, cos_e, sin_e = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation)
     axes = np.array(
-        [
-            [-sin_a, cos_a, 0.0],
-            [-sin_e * cos_a, -sin_e * sin_a, cos_e],
-            [cos_e * cos_a, cos_e * sin_a, sin_e],
-        ]
+        [[-sin_a, cos_a, 0.0], [-sin_e * cos_a, -sin_e * sin_a, cos_e], [cos_e * cos_a, cos_e * sin_a, sin_e]]
     )
     low, high = points.min(axis=0), points.max(axis=0)
     target = (low + high) / 2

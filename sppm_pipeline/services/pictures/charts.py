@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.pictures.chart_style import COLORS, figure_file, styled
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ def _draw(axes: Axes, panel: Axis, log_x: bool) -> list[Artist | Container]:
     return drawn
 
 
-def _hull(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[int]:
+def _hull(x: F64, y: F64) -> list[int]:
     """Corners of the convex hull of the points with finite coordinates, once around (Andrew 1979)."""
     order = [int(i) for i in np.lexsort((y, x)) if np.isfinite(x[i]) and np.isfinite(y[i])]
 
@@ -178,23 +179,21 @@ def _hull(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[int]:
     return half(order)[:-1] + half(order[::-1])[:-1]
 
 
-def _samples(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+def _samples(x: F64, y: F64) -> tuple[F64, list[F64]]:
     """Each x once, and the values of y there."""
     known = np.isfinite(x) & np.isfinite(y)
     places = np.unique(x[known])
     return places, [y[known & (x == place)] for place in places]
 
 
-def _means(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _means(x: F64, y: F64) -> tuple[F64, ...]:
     """Each x once, the mean of y there, and its sample standard deviation; NaN for a single value."""
     places, samples = _samples(x, y)
     deviations = [sample.std(ddof=1) if len(sample) > 1 else np.nan for sample in samples]
     return places, np.array([sample.mean() for sample in samples]), np.array(deviations)
 
 
-def _boxes(
-    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], color: str, place: tuple[int, int], log_x: bool
-) -> Artist:
+def _boxes(axes: Axes, x: F64, y: F64, color: str, place: tuple[int, int], log_x: bool) -> Artist:
     """Box plots at each x; `place` is the number of this series among those that stand side by side."""
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch

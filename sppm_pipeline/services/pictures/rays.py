@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F32, F64, I32, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
@@ -28,21 +27,21 @@ _FIELD, _DOMAIN, _SKIN, _SECTION = 0, 1, 2, 3
 class RayScene(NamedTuple):
     """All that a ray needs; lengths in spacings of the samples, measured from the first one."""
 
-    field: NDArray[np.float32]
-    skin: NDArray[np.float32]
-    outer: NDArray[np.float32]
-    void: NDArray[np.uint8]
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64]
-    places: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    owners: NDArray[np.int32]
-    axes: NDArray[np.float64]
+    field: F32
+    skin: F32
+    outer: F32
+    void: U8
+    vertices: F64
+    faces: I64
+    normals: F64
+    places: F64
+    starts: I64
+    owners: I32
+    axes: F64
     # target (3), distance, scale, column and row of the frame, then the plane: normal (3), place;
     # and the width of the picture
-    numbers: NDArray[np.float64]
-    colors: NDArray[np.uint8]
+    numbers: F64
+    colors: U8
 
 
 @jit

@@ -11,7 +11,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F32, F64, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
@@ -43,9 +42,9 @@ class Seen(NamedTuple):
     """Surface in each sample of a picture; (h, w) are its height and width times the supersampling."""
 
     # (h, w), coordinate towards the viewer in samples (length times scale); -inf where nothing is seen
-    depth: NDArray[np.float32]
-    normal: NDArray[np.float32]  # (h, w, 3) in the frame right, up, towards the viewer
-    color: NDArray[np.uint8]  # (h, w, 3), sRGB
+    depth: F32
+    normal: F32  # (h, w, 3) in the frame right, up, towards the viewer
+    color: U8  # (h, w, 3), sRGB
 
 
 def empty_seen(width: int, height: int) -> Seen:
@@ -271,8 +270,8 @@ LINEAR = _linear_light(np.arange(256) / 255.0).astype(np.float32)
 class Hidden(NamedTuple):
     """Share of the sky hidden from each sample (h, w), 0 to 1."""
 
-    creases: NDArray[np.float32]  # by something near
-    pores: NDArray[np.float32]  # by something farther away
+    creases: F32  # by something near
+    pores: F32  # by something farther away
 
 
 def hidden_sky(seen: Seen, threads: int = 1) -> Hidden:
