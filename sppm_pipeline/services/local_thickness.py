@@ -123,7 +123,7 @@ def local_thickness(phase: U8, periodic: tuple[bool, bool, bool] = (True, True, 
     return painted_balls(squared, periodic)
 
 
-def painted_balls(squared: NDArray[np.int32], periodic: tuple[bool, bool, bool]) -> NDArray[np.float32]:
+def painted_balls(squared: I32, periodic: tuple[bool, bool, bool]) -> F32:
     """Diameter of the largest ball that covers each voxel, of balls with squared radii at all voxels; 0 for none."""
     centers = np.flatnonzero(_ridge(squared, np.array(periodic[::-1], np.uint8)))
     # the largest balls first, equal ones in the order of their voxels: each voxel is painted once

@@ -29,7 +29,7 @@ CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
 
 
-COARSE_PITCH = 0.52
+COARSE_PITCH = 0.5
 """Samples this many radii of the thinnest tunnel apart are fine enough for finer ones to be interpolated from them:
 on each of 20 cells less than 5 in 100 000 change sides."""
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.services.arrays import F64
 
 AXES = "xyz"
 FORMS = (
@@ -46,9 +46,9 @@ class Region(NamedTuple):
     numbers: tuple[float, ...] = ()
     axis: int = 0
     text: str = ""
-    triangles: NDArray[np.float64] = np.zeros((0, 3, 3))
+    triangles: F64 = np.zeros((0, 3, 3))
 
-    def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def distances(self, points: F64) -> F64:
         """Distances (n,) of points (n, 3), mm, from it; 0 inside."""
         n, p = self.numbers, points
         if self.kind == "surface":

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import ConfigError, DesignError, nearest
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
 from sppm_pipeline.nouns.palette import Maps
+from sppm_pipeline.services.arrays import F64, Bools
 
-Points = NDArray[np.float64]
+Points = F64
 
 
 class Quantity(NamedTuple):
@@ -79,9 +80,9 @@ class Place:
     def __init__(self, grading: Grading, points: Points) -> None:
         self.points = points
         self._grading = grading
-        self._known: dict[str, NDArray[np.float64]] = {}
+        self._known: dict[str, F64] = {}
 
-    def values(self, name: str) -> NDArray[np.float64]:
+    def values(self, name: str) -> F64:
         """A coordinate or an earlier map, (n,)."""
         if name in COORDINATES:
             return self.points[:, COORDINATES.index(name)]
@@ -120,7 +121,7 @@ class Law(Artifact):
                 object.__setattr__(self, one.name, frozen(value))
 
     @abstractmethod
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         """Values (n,) at the points of a place; not finite where there is none."""
 
     @property
@@ -145,18 +146,18 @@ class DataLaw(Law):
     outside: str
 
     @property
-    def box(self) -> NDArray[np.float64]:
+    def box(self) -> F64:
         """Low and high corner of the data, (2, 3) mm."""
         raise NotImplementedError
 
-    def beyond(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def beyond(self, points: F64) -> Bools:
         """Which points (n, 3) lie outside of the box of the data, up to rounding."""
         low, high = self.box
         slack = 1e-9 * np.abs(self.box).max()
-        found: NDArray[np.bool_] = ((points < low - slack) | (points > high + slack)).any(axis=1)
+        found: Bools = ((points < low - slack) | (points > high + slack)).any(axis=1)
         return found
 
-    def bounded(self, values: NDArray[np.float64], outside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def bounded(self, values: F64, outside: Bools) -> F64:
         """`values`, without those outside if these are refused."""
         return np.where(outside, np.nan, values) if self.outside == "refuse" else values
 
@@ -171,7 +172,7 @@ class ImageLaw(DataLaw):
     factor: float  # of the numbers
 
     @property
-    def box(self) -> NDArray[np.float64]:
+    def box(self) -> F64:
         low = np.array(self.origin)
         return np.array([low, low + np.array(self.spacing) * self.values.shape])
 
@@ -179,7 +180,7 @@ class ImageLaw(DataLaw):
     def bounds(self) -> tuple[float, float]:
         return self.factor * float(self.values.min()), self.factor * float(self.values.max())
 
-    def at(self, place: Place) -> NDArray[np.float64]:
+    def at(self, place: Place) -> F64:
         from scipy.ndimage import map_coordinates
 
         # values belong to the centers of voxels; the outer half voxel continues them as a constant
@@ -189,7 +190,7 @@ class ImageLaw(DataLaw):
         return self.bounded(self.factor * found, self.beyond(place.points))
 
 
-def checked(law: Law, place: Place) -> NDArray[np.float64]:
+def checked(law: Law, place: Place) -> F64:
     """Values of a law; `DesignError` names the first point where one is not finite, or not what the quantity may be."""
     values = law.at(place)
     kind = QUANTITIES.get(law.name)
@@ -234,7 +235,7 @@ class Map:
         self.range = (low, high) if kind is None else (max(low, kind.low), min(high, kind.high))
         self._grading = grading
 
-    def at(self, points: ArrayLike) -> NDArray[np.float64]:
+    def at(self, points: ArrayLike) -> F64:
         """Values (n,) at points (n, 3) mm: all finite, and what the quantity may be.
 
         Raises

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.nouns.report import TEXT, Number, Report, number, reports
+from sppm_pipeline.services.arrays import F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +49,12 @@ class StiffnessDesign(Report):
     recipe: str = field(metadata=TEXT)
     options: tuple[tuple[str, float], ...]
     porosity: float = field(metadata=number(box="porosity"))
-    stretch: NDArray[np.float64] = field(metadata=number("#3", box="stretch x, y, z"))
-    rotation: NDArray[np.float64] = field(metadata=number("#3.#3"))
-    stiffness: NDArray[np.float64] = field(metadata=number("#6.#6"))
-    target: NDArray[np.float64] = field(metadata=number("#6.#6"))
-    mean_error: NDArray[np.float64] = field(metadata=number("#6.#6"))
-    draw_error: NDArray[np.float64] = field(metadata=number("#6.#6"))
+    stretch: F64 = field(metadata=number("#3", box="stretch x, y, z"))
+    rotation: F64 = field(metadata=number("#3.#3"))
+    stiffness: F64 = field(metadata=number("#6.#6"))
+    target: F64 = field(metadata=number("#6.#6"))
+    mean_error: F64 = field(metadata=number("#6.#6"))
+    draw_error: F64 = field(metadata=number("#6.#6"))
     distance: float = field(metadata=number(box="distance to the target"))
     floor: float = field(metadata=number())
     grid_error: float = field(metadata=number())

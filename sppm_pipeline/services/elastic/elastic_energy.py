@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.multigrid.rows import BLOCK, HEAD, STRIDE, gather_row
 
@@ -160,9 +161,9 @@ def energy_and_stress(
     factor: Any,
     c: NDArray[Any],
     strain: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     s: NDArray[Any],
-    out: NDArray[np.float64],
+    out: F64,
 ) -> None:
     """Sum the energy and the stresses of a field over all voxels.
 
@@ -211,7 +212,7 @@ def energy_and_stress(
                     out[_1 + _3 + i] += _shear_row(s, mode + _R[3], mu, at, width)
 
 
-def energy_coefficients(edges: tuple[float, float, float]) -> NDArray[np.float64]:
+def energy_coefficients(edges: tuple[float, float, float]) -> F64:
     """Square roots of the weights of the modes of a brick with edges (hx, hy, hz), (14,)."""
     h = np.array(edges, np.float64)
     g = np.sqrt(h.prod()) / (4 * h)

@@ -8,15 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.services.elastic.elastic_energy import ENERGY_ROWS, energy_and_stress, energy_coefficients
 from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
-from sppm_pipeline.services.elastic.elastic_passes import (
-    apply_stiffness,
-    ascend,
-    constant_forces,
-    descend,
-    turn_apply,
-)
+from sppm_pipeline.services.elastic.elastic_passes import apply_stiffness, ascend, constant_forces, descend, turn_apply
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Transfer, Workspace, coarser, node_sums, padded
 from sppm_pipeline.services.multigrid.rows import APPLY, HEAD, STRIDE
 from sppm_pipeline.services.multigrid.transfer import NodalTransfer, coarsened, coarser_widths, shortness
@@ -64,9 +59,7 @@ class Moduli(NamedTuple):
         return self.mu if self.lam is None else self.lam
 
 
-def coefficients(
-    edges: tuple[float, float, float], strain: NDArray[np.float64] | None = None, ratio: float = 1.0
-) -> NDArray[np.float64]:
+def coefficients(edges: tuple[float, float, float], strain: F64 | None = None, ratio: float = 1.0) -> F64:
     """Weights of the modes of a brick for `apply_stiffness`, (26,).
 
     Parameters
@@ -113,7 +106,7 @@ class ElasticLevel:
         self.weight = np.zeros(nx * ny * nz, dtype)
         self.held, self.first = np.zeros(0, np.int32), np.zeros(nz + 1, np.int64)
 
-    def hold(self, fixed: NDArray[np.bool_]) -> None:
+    def hold(self, fixed: Bools) -> None:
         """Hold displacements at zero, (3, nz, ny, nx) bool."""
         planes = fixed.transpose(1, 0, 2, 3).reshape(self.shape[0], -1)
         self.held = np.nonzero(planes)[1].astype(np.int32)
@@ -167,20 +160,20 @@ class ElasticLevel:
             z, beta, p, self.weight, self.lam, self.mu, self.c, self.size, work.plane, work.rows, self.held, self.first
         )
 
-    def forces(self, strain: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
+    def forces(self, strain: F64, out: NDArray[Any], work: Workspace) -> None:
         """Nodal forces of a constant strain (6,), written to `out`."""
         c = coefficients(self.edges, strain, self.ratio).astype(self.c.dtype)
         nothing = np.zeros(3 * self.shape[1] * self.shape[2], self.c.dtype)
         constant_forces(self.weight, self.lam, self.mu, c, self.size, nothing, out, work.plane, work.rows)
 
-    def strained_forces(self, strain: NDArray[np.float64], u: NDArray[Any], out: NDArray[Any], work: Workspace) -> None:
+    def strained_forces(self, strain: F64, u: NDArray[Any], out: NDArray[Any], work: Workspace) -> None:
         """Nodal forces of displacements plus a constant strain (6,), written to `out`."""
         c = coefficients(self.edges, strain, self.ratio).astype(self.c.dtype)
         apply_stiffness(
             APPLY, u, u, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows, self.held, self.first
         )
 
-    def energy_and_stress(self, strain: NDArray[np.float64], u: NDArray[Any]) -> tuple[float, NDArray[np.float64]]:
+    def energy_and_stress(self, strain: F64, u: NDArray[Any]) -> tuple[float, F64]:
         """Mean energy and mean stresses (6,) of displacements plus a constant strain (6,)."""
         dtype, out = self.c.dtype, np.empty(7)
         root = float(np.sqrt(np.prod(self.edges)))

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I64
 from sppm_pipeline.services.elastic.elastic_bricks import full_row, give_back, modes_of
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.multigrid.rows import APPLY, BLOCK, HEAD, LANES, SMOOTH, STRIDE
@@ -227,7 +228,7 @@ def sweep_plane(
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     low: Any,
     finish: Any,
     out: NDArray[Any],

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import I32, I64
 from sppm_pipeline.services.elastic.elastic_operator import sweep_plane
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.multigrid.rows import APPLY, RESIDUAL, SMOOTH
@@ -24,7 +25,7 @@ _0, _1, _3 = np.uint64(0), np.uint64(1), np.uint64(3)
 
 
 @inline_jit
-def _hold(out: NDArray[Any], at: Any, comp: Any, held: NDArray[np.int32], first: Any, last: Any, layer: Any) -> None:
+def _hold(out: NDArray[Any], at: Any, comp: Any, held: I32, first: Any, last: Any, layer: Any) -> None:
     for k in range(first, last):
         place = np.uint64(held[k])
         out[at + place // layer * comp + place % layer] = 0
@@ -39,12 +40,12 @@ def apply_stiffness(
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     out: NDArray[Any],
     plane: NDArray[Any],
     s: NDArray[Any],
-    held: NDArray[np.int32],
-    first: NDArray[np.int64],
+    held: I32,
+    first: I64,
 ) -> float:
     """Compute forces ``f = K v`` of displacements, their residual, or a smoothing step.
 
@@ -104,16 +105,16 @@ def descend(
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     coarse: NDArray[Any],
-    shapes: NDArray[np.int64],
+    shapes: I64,
     ring: NDArray[Any],
     rest: NDArray[Any],
     line: NDArray[Any],
     plane: NDArray[Any],
     s: NDArray[Any],
-    held: NDArray[np.int32],
-    first: NDArray[np.int64],
+    held: I32,
+    first: I64,
 ) -> None:
     """Restrict the residual after a smoothing step from zero to the next coarser grid.
 
@@ -151,16 +152,16 @@ def ascend(
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     coarse: NDArray[Any],
-    shapes: NDArray[np.int64],
+    shapes: I64,
     ring: NDArray[Any],
     line: NDArray[Any],
     out: NDArray[Any],
     plane: NDArray[Any],
     s: NDArray[Any],
-    held: NDArray[np.int32],
-    first: NDArray[np.int64],
+    held: I32,
+    first: I64,
 ) -> float:
     """Smooth from zero, add the correction of the coarser grid, and smooth again; returns ``r . out``.
 
@@ -203,11 +204,11 @@ def turn_apply(
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     plane: NDArray[Any],
     s: NDArray[Any],
-    held: NDArray[np.int32],
-    first: NDArray[np.int64],
+    held: I32,
+    first: I64,
 ) -> float:
     """Compute the next direction ``p = z + beta p`` and its forces, which replace z; returns ``p . K p``.
 
@@ -237,7 +238,7 @@ def constant_forces(
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
-    shape: NDArray[np.int64],
+    shape: I64,
     nothing: NDArray[Any],
     out: NDArray[Any],
     plane: NDArray[Any],

@@ -13,12 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.services.elastic.elastic_level import (
-    ElasticLevel,
-    Moduli,
-    coefficients,
-    largest_eigenvalue,
-)
+from sppm_pipeline.services.arrays import F32, F64, Bools
+from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, coefficients, largest_eigenvalue
 from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, coarser, node_sums, padded
@@ -40,12 +36,12 @@ _MARGIN = 1.05
 """Factor of the largest of those."""
 
 
-def packed(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+def packed(matrices: F64) -> F64:
     """The 21 constants (21, ...) of stiffness matrices (..., 6, 6)."""
     return np.moveaxis(matrices[..., UPPER[0], UPPER[1]], -1, 0)
 
 
-def unpacked(constants: NDArray[Any]) -> NDArray[np.float64]:
+def unpacked(constants: NDArray[Any]) -> F64:
     """Stiffness matrices (..., 6, 6) of their 21 constants (21, ...)."""
     made = np.empty((*constants.shape[1:], 6, 6))
     made[..., UPPER[0], UPPER[1]] = made[..., UPPER[1], UPPER[0]] = np.moveaxis(constants, 0, -1)
@@ -81,7 +77,7 @@ class GeneralLevel(ElasticLevel):
         return self._diagonal
 
 
-def brick_strains(edges: tuple[float, float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def brick_strains(edges: tuple[float, float, float]) -> tuple[F64, F64]:
     """Strains (7, 6, 24) of the monomials 1, ξ, η, ζ, ξη, ξζ, ηζ of a brick, and the weights (7,) of their squares.
 
     Displacements are those of corners i + 2 j + 4 k, x, y, z of each; strains are not scaled, weights hold the volume.
@@ -123,7 +119,7 @@ def largest_of(constants: NDArray[Any], edges: tuple[float, float, float]) -> fl
     return float((np.linalg.eigvalsh(matrices)[:, -1] / diagonal).max())
 
 
-def _held_below(fixed: NDArray[np.bool_], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def _held_below(fixed: Bools, shape: tuple[int, int, int]) -> Bools:
     """Which displacements (3, nz, ny, nx) of the next grid are held: those that reach one that is."""
     for axis, (n, m) in enumerate(zip(fixed.shape[1:], shape, strict=True), 1):
         if n == m:
@@ -179,7 +175,7 @@ class HeldBody:
     """
 
     def __init__(
-        self, moduli: Moduli | NDArray[Any], edges: tuple[float, float, float], fixed: NDArray[np.bool_], dtype: Any
+        self, moduli: Moduli | NDArray[Any], edges: tuple[float, float, float], fixed: Bools, dtype: Any
     ) -> None:
         def with_margin(values: NDArray[Any]) -> NDArray[Any]:
             return np.pad(values, [(0, 0)] * (values.ndim - 3) + [(0, 1)] * 3)
@@ -303,8 +299,8 @@ class HeldBody:
 
 @jit
 def _mean_and_second(
-    u: NDArray[Any], solid: NDArray[np.bool_], strains: NDArray[np.float64], weights: NDArray[np.float64],
-    mean: NDArray[np.float64], second: NDArray[np.float64],
+    u: NDArray[Any], solid: Bools, strains: F64, weights: F64,
+    mean: F64, second: F64,
 ) -> None:  # fmt: skip
     nz, ny, nx = solid.shape
     v, e = np.empty(24), np.empty(6)
@@ -332,9 +328,7 @@ def _mean_and_second(
                 at += 1
 
 
-def strains_of(
-    u: NDArray[Any], solid: NDArray[np.bool_], edges: tuple[float, float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def strains_of(u: NDArray[Any], solid: Bools, edges: tuple[float, float, float]) -> tuple[F64, F64]:
     """Mean strains (6, m) of the solid voxels, in C order of (z, y, x), and what their energy is linear in, (21, m).
 
     Twice the energy of a voxel is the sum of the products of its 21 constants with the latter, so that these are also
@@ -347,7 +341,7 @@ def strains_of(
 
 
 @jit
-def von_mises(u: NDArray[Any], mu: NDArray[Any], edges: NDArray[np.float64], out: NDArray[np.float32]) -> None:
+def von_mises(u: NDArray[Any], mu: NDArray[Any], edges: F64, out: F32) -> None:
     """Von Mises stress of the mean strain of isotropic voxels (nz, ny, nx), from their shear moduli."""
     nz, ny, nx = mu.shape
     g = np.empty((3, 3))

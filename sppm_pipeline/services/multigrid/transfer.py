@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
 _0, _1 = np.uint64(0), np.uint64(1)
@@ -45,9 +46,7 @@ def coarsened(fine: NDArray[Any], shape: tuple[int, ...] | None = None, *, open_
     return np.ascontiguousarray(fine)
 
 
-def coarser_widths(
-    widths: list[NDArray[np.float64]], shape: tuple[int, ...] | None = None
-) -> list[NDArray[np.float64]]:
+def coarser_widths(widths: list[F64], shape: tuple[int, ...] | None = None) -> list[F64]:
     """Widths of the coarse voxels along each axis, as parts of the width of a whole one; `shape` as for `coarsened`."""
     coarse = []
     for axis, width in enumerate(widths):
@@ -58,7 +57,7 @@ def coarser_widths(
     return coarse
 
 
-def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def shortness(widths: list[F64]) -> F64:
     """Factors for grids whose last voxel is shorter: it is stiffer across its width."""
     z, y, x = widths
     return 1 / (z[:, None, None] * y[:, None] * x)
@@ -109,7 +108,7 @@ def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse
 
 @jit
 def interpolate_plane(
-    coarse: NDArray[Any], z: Any, shapes: NDArray[np.int64], out: NDArray[Any], at: Any, comp: Any, s: NDArray[Any]
+    coarse: NDArray[Any], z: Any, shapes: I64, out: NDArray[Any], at: Any, comp: Any, s: NDArray[Any]
 ) -> None:
     """Add the interpolated coarse vector to one plane of a fine one.
 
@@ -136,7 +135,7 @@ def interpolate_plane(
 
 
 @jit
-def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
+def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: I64, s: NDArray[Any]) -> None:
     """Add the interpolated coarse vector to a fine one.
 
     Parameters
@@ -178,7 +177,7 @@ def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, n: A
 
 @jit
 def restrict_plane(
-    fine: NDArray[Any], at: Any, comp: Any, z: Any, shapes: NDArray[np.int64], out: NDArray[Any], s: NDArray[Any]
+    fine: NDArray[Any], at: Any, comp: Any, z: Any, shapes: I64, out: NDArray[Any], s: NDArray[Any]
 ) -> None:
     """Add the part of one plane to a restricted vector: the transpose of `interpolate_plane`.
 
@@ -225,7 +224,7 @@ def restrict_plane(
 
 
 @jit
-def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
+def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: I64, s: NDArray[Any]) -> None:
     """The transpose of the interpolation; arguments as `interpolate_add`, `s` longer than nx + 2 of the fine grid."""
     layer = np.uint64(shapes[0]) * np.uint64(shapes[1])
     planes = np.uint64(shapes[2])
@@ -243,7 +242,7 @@ class NodalTransfer(NamedTuple):
         As `restrict` takes them.
     """
 
-    shapes: NDArray[np.int64]
+    shapes: I64
 
     @classmethod
     def between(
