@@ -2,6 +2,6 @@
 
 A part that is printed must be connected, and its void must let resin or powder out. The modules: `runs` (a mask
 as runs of voxels), `components` (union-find over the runs, periodic seams included, and what a phase looks like),
-`islands` (of one cell), `streaming` (of a part without the whole array, `layer_ids` for each layer, `verdicts` on what
-stays), `slab_union` (of slabs that were labeled apart), `laid_graph` (of pores and tunnels instead of voxels).
+`islands` (of one cell), `streaming` (of a part without the whole array, `layer_ids` for each layer),
+`slab_union` (of slabs that were labeled apart), `laid_graph` (of pores and tunnels instead of voxels).
 """

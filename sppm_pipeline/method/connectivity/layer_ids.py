@@ -43,9 +43,9 @@ def _touched(
 
 
 @jit
-def _unite_with(bounds: I32, b: int, b_stop: int, a: int, reach: int, ids: I32, parent: I32) -> None:
+def _unite_with(bounds: I32, b: int, b_stop: int, a: int, ids: I32, parent: I32) -> None:
     """Unite the id of a run with those of the runs b <= r < b_stop of another row that it touches."""
-    first, stop = bounds[2 * a] - reach, bounds[2 * a + 1] + reach
+    first, stop = bounds[2 * a], bounds[2 * a + 1]
     low, high = b, b_stop  # the first run that ends behind `first` is sought by halves
     while low < high:
         middle = (low + high) // 2
@@ -70,32 +70,23 @@ def layer_ids(
     known: int,
     largest: int,
     z: int,
-    reach: int,
     counting: bool,
 ) -> tuple[int, int]:
     """Write the id of each run of a layer into `ids`; returns the number of ids so far, and the one with most voxels.
 
     `known` is that number before the layer. No run has an id that is known to be one with a smaller one.
     """
-    ny = rows.size - 1
     n_ids = known
     # Runs of the largest component so far need not be compared with each other: others are, which are few.
     main = find_root(parent, largest) if known > 0 else int(np.int64(-1))
     others = np.empty(ids.size, np.int32)
     n_others, n_before = 0, 0  # those of this row are the last ones, those of the row before come before them
-    for y in range(ny):
+    for y in range(rows.size - 1):
         n_row = 0
-        # the rows below: across edges also those beside it; an empty range where there is none
         b, b_stop = rows_below[y], rows_below[y + 1]
-        c, c_stop = (rows_below[y - 1], b) if reach and y > 0 else (b, b)
-        d, d_stop = (b_stop, rows_below[y + 2]) if reach and y + 1 < ny else (b, b)
         for a in range(rows[y], rows[y + 1]):
-            first, stop = bounds[2 * a] - reach, bounds[2 * a + 1] + reach
             found = int(np.int64(-1))
-            b, found = _touched(bounds_below, b, b_stop, first, stop, ids_below, parent, found)
-            if reach:
-                c, found = _touched(bounds_below, c, c_stop, first, stop, ids_below, parent, found)
-                d, found = _touched(bounds_below, d, d_stop, first, stop, ids_below, parent, found)
+            b, found = _touched(bounds_below, b, b_stop, bounds[2 * a], bounds[2 * a + 1], ids_below, parent, found)
             if found < 0:
                 found = n_ids
                 parent[n_ids] = n_ids
@@ -112,13 +103,13 @@ def layer_ids(
             # a search by halves pays where few runs are loose
             if 8 * (n_row + n_before) > after - before:
                 for a in range(here, after):
-                    first, stop = bounds[2 * a] - reach, bounds[2 * a + 1] + reach
+                    first, stop = bounds[2 * a], bounds[2 * a + 1]
                     before, _ = _touched(bounds, before, here, first, stop, ids, parent, int(np.int64(ids[a])))
             else:
                 for i in range(n_others - n_row - n_before, n_others - n_row):
-                    _unite_with(bounds, here, after, others[i], reach, ids, parent)
+                    _unite_with(bounds, here, after, others[i], ids, parent)
                 for i in range(n_others - n_row, n_others):
-                    _unite_with(bounds, before, here, others[i], reach, ids, parent)
+                    _unite_with(bounds, before, here, others[i], ids, parent)
         n_before = n_row
     # New ids that are one with another are given up; a smaller id never has a larger one as its parent.
     stays = np.empty(n_ids - known, np.int32)
@@ -138,7 +129,7 @@ def layer_ids(
             boxes[i, 1] = boxes[i, 3] = boxes[i, 5] = -1
     # Nearly all runs are of one id: what it gathers is held in these, and written down when another one comes.
     held, count, x_low, x_high, y_low, y_high = -1, 0, 0, 0, 0, 0
-    for y in range(ny):
+    for y in range(rows.size - 1):
         for a in range(rows[y], rows[y + 1]):
             i = int(np.int64(ids[a]))
             i = find_root(parent, i) if i < known else int(np.int64(stays[i - known]))

@@ -7,13 +7,9 @@ local component that begins first. Slabs are added from the bottom; only the las
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
-from sppm_pipeline.method.connectivity.runs import neighbor_reach
-from sppm_pipeline.method.connectivity.streaming import resolve
-from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+from sppm_pipeline.method.connectivity.streaming import IslandStatistics, SlabLabels, decide, resolve
 from sppm_pipeline.services.arrays import I32, I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.union_find import unite
@@ -26,8 +22,7 @@ class SlabUnion:
     component of a slab, and the runs of one layer.
     """
 
-    def __init__(self, connectivity: int = 6) -> None:
-        self._reach = neighbor_reach(connectivity)
+    def __init__(self) -> None:
         self._layers = 0
         self._starts = [0]
         self._components: list[I32] = []
@@ -52,7 +47,6 @@ class SlabUnion:
                 labels.first.bounds,
                 labels.of_first + np.int32(start),
                 self._parent,
-                self._reach,
             )
         boxes = labels.boxes.copy()
         # z of a slab counts from its own first layer
@@ -65,39 +59,34 @@ class SlabUnion:
         # the last layer alone is needed for the border to the next slab
         self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
 
-    def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[Bools]]:
+    def finish(self) -> tuple[IslandStatistics, list[Bools]]:
         """Decide what stays, as `IslandFilter.finish`; and the verdict on the ids of each slab."""
         parent = self._parent[: self._starts[-1]].copy()
         voxels = np.concatenate([np.zeros(0, np.int64), *self._voxels])
         boxes = np.concatenate([np.zeros((0, 6), np.int32), *self._boxes])
         resolve(parent, voxels, boxes)
-        kept, statistics = decide(parent, voxels, boxes, self._layers, keep)
-        stays = kept[parent]
+        stays, statistics = decide(parent, voxels, boxes, self._layers)
         slabs = zip(self._starts[:-1], self._components, strict=True)
         return statistics, [stays[start + component] for start, component in slabs]
 
 
 @jit
 def _join_border(
-    rows_below: I64, bounds_below: I32, labels_below: I32, rows: I64, bounds: I32, labels: I32, parent: I32, reach: int
+    rows_below: I64, bounds_below: I32, labels_below: I32, rows: I64, bounds: I32, labels: I32, parent: I32
 ) -> None:
     """Unite the labels of runs that touch across the border of two slabs; the smaller root stays."""
-    ny = rows.size - 1
-    for y in range(ny):
-        for dy in range(-reach, reach + 1):
-            if y + dy < 0 or y + dy >= ny:
-                continue
-            a, a_stop = rows[y], rows[y + 1]
-            b, b_stop = rows_below[y + dy], rows_below[y + dy + 1]
-            while a < a_stop and b < b_stop:
-                if bounds[2 * a + 1] + reach <= bounds_below[2 * b]:
+    for y in range(rows.size - 1):
+        a, a_stop = rows[y], rows[y + 1]
+        b, b_stop = rows_below[y], rows_below[y + 1]
+        while a < a_stop and b < b_stop:
+            if bounds[2 * a + 1] <= bounds_below[2 * b]:
+                a += 1
+            elif bounds_below[2 * b + 1] <= bounds[2 * a]:
+                b += 1
+            else:
+                unite(parent, labels[a], labels_below[b])
+                # the run that ends first can touch no further one
+                if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
                     a += 1
-                elif bounds_below[2 * b + 1] + reach <= bounds[2 * a]:
-                    b += 1
                 else:
-                    unite(parent, labels[a], labels_below[b])
-                    # the run that ends first can touch no further one
-                    if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
-                        a += 1
-                    else:
-                        b += 1
+                    b += 1

@@ -21,15 +21,14 @@ nothing below: a few per cell.
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.method.connectivity.layer_ids import clear_runs, layer_ids, list_loose, set_runs, still_loose
-from sppm_pipeline.method.connectivity.runs import Runs, neighbor_reach, runs_of_bits
-from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+from sppm_pipeline.method.connectivity.runs import Runs, runs_of_bits
 from sppm_pipeline.services.arrays import I32, I64, U64, Bools
 from sppm_pipeline.services.bit_rows import count
 from sppm_pipeline.services.jit.compiled import jit
@@ -51,6 +50,32 @@ class _Loose(NamedTuple):
     runs: I32  # (n, 4): row, first voxel, the one after the last, and id of each run of another component
 
 
+class IslandStatistics(NamedTuple):
+    """Statistics of the components, from the first pass."""
+
+    layers: int
+    voxels: int  # of the phase
+    components: int
+    largest_share: float  # fraction of the phase in the largest component
+    removed_share: float  # fraction of the phase that is removed
+    # the largest component reaches, along x, y, z, from the first to the last voxel of the whole phase
+    spans: tuple[bool, bool, bool]
+
+
+class SlabLabels(NamedTuple):
+    """Components of a slab labeled by itself, from the first pass, in the order of their first voxels (z slowest)."""
+
+    layers: int
+    component: I32  # (n_ids,), of each id
+    voxels: I64  # (n,), of each component
+    # (n, 6): x low, x high, y ..., z high; the highs are inclusive, z counts from the first layer
+    boxes: I32
+    first: Runs  # runs of the first layer, and their components
+    of_first: I32
+    last: Runs  # likewise of the last layer
+    of_last: I32
+
+
 class IslandFilter:
     """Remove floating islands in two passes over the same slabs.
 
@@ -58,9 +83,8 @@ class IslandFilter:
     slabs may be cut differently). The result is that of labeling all layers at once.
     """
 
-    def __init__(self, ny: int, nx: int, connectivity: int = 6) -> None:
+    def __init__(self, ny: int, nx: int) -> None:
         self._shape = (ny, nx)
-        self._reach = neighbor_reach(connectivity)
         self._layers = 0
         self._parent = np.zeros(1024, dtype=np.int32)
         self._voxels = np.zeros(1024, dtype=np.int64)
@@ -73,9 +97,9 @@ class IslandFilter:
         self._first, self._ids_first = self._below, self._ids_below
 
     @classmethod
-    def decided(cls, ny: int, nx: int, layers: int, verdict: Bools, connectivity: int = 6) -> IslandFilter:
+    def decided(cls, ny: int, nx: int, layers: int, verdict: Bools) -> IslandFilter:
         """The filter of a slab whose second pass begins; `verdict` says of each of its ids whether it stays."""
-        islands = cls(ny, nx, connectivity)
+        islands = cls(ny, nx)
         islands._layers, islands._verdict, islands._remembered = layers, verdict, None
         return islands
 
@@ -110,7 +134,6 @@ class IslandFilter:
             self._n_ids,
             self._largest,
             self._z,
-            self._reach,
             counting,
         )
         self._below, self._ids_below = runs, ids
@@ -160,17 +183,14 @@ class IslandFilter:
         if self._written > _MAX_STORED:
             self._remembered = None
 
-    def finish(self, keep: Literal["largest"] | float = "largest") -> IslandStatistics:
-        """Decide what stays; `clear` may follow.
-
-        Kept is the largest component (the first of equals), or all that hold at least the fraction `keep` of the phase.
-        """
+    def finish(self) -> IslandStatistics:
+        """Keep the largest component, the first of equals; `clear` may follow."""
         if self._verdict is not None:
             raise ValueError("finish comes once")
         root = self._parent[: self._n_ids]
         resolve(root, self._voxels, self._boxes)
-        kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers, keep)
-        self._verdict = kept[root]
+        kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers)
+        self._verdict = kept
         self._free()
         return statistics
 
@@ -238,6 +258,30 @@ class IslandFilter:
             if not main_stays:
                 slab[k] = 0
             set_runs(chosen, not main_stays, slab[k])
+
+
+def decide(root: I32, voxels: I64, boxes: I32, layers: int) -> tuple[Bools, IslandStatistics]:
+    """Labels of the largest component, (n,) bool, and the statistics of the components.
+
+    `root` (n,) is that of each label, the smallest one of its component; smaller roots begin at earlier voxels. Voxels
+    (n,) and bounding boxes (n, 6) are gathered at the roots.
+    """
+    is_root = root == np.arange(root.size, dtype=np.int32)
+    sizes = np.where(is_root, voxels, 0)
+    total = int(sizes.sum())
+    if total == 0:
+        return np.zeros(0, dtype=np.bool_), IslandStatistics(layers, 0, 0, 0.0, 0.0, (False, False, False))
+    # of equals the first one, whose root is the smallest
+    largest = int(np.argmax(sizes))
+    share = int(sizes[largest]) / total
+    # "spans" compares with the box of the phase, not with that of the layers: a part need not fill its stack
+    every, own = boxes[is_root], boxes[largest]
+    x, y, z = (
+        bool(own[2 * a] == every[:, 2 * a].min() and own[2 * a + 1] == every[:, 2 * a + 1].max()) for a in range(3)
+    )
+    removed = (total - int(sizes[largest])) / total
+    found = IslandStatistics(layers, total, int(np.count_nonzero(is_root)), share, removed, (x, y, z))
+    return root == largest, found
 
 
 def _grown(of_ids: NDArray[Any], known: int, needed: int) -> NDArray[Any]:

@@ -20,7 +20,7 @@ from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import computed_ahead
 
 if TYPE_CHECKING:
-    from sppm_pipeline.method.connectivity.verdicts import IslandStatistics
+    from sppm_pipeline.method.connectivity.streaming import IslandStatistics
     from sppm_pipeline.method.part.inside import Method
     from sppm_pipeline.method.slicing.slab_passes import IslandPass
 
@@ -232,7 +232,7 @@ class SampledSlices(SliceStack):
             islands.observe(solid)
             spool.append(start, solid)
         summary |= self.summary_of_counts(counts)
-        found |= self.removal(islands.finish("largest"), summary)
+        found |= self.removal(islands.finish(), summary)
         if not spool.whole:  # the disk was full: the second pass evaluates the layers again
             for start, solid in self.decided(threads, {}):
                 islands.clear(solid)

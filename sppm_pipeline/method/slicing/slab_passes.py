@@ -24,7 +24,7 @@ from sppm_pipeline.method.slicing.spool import MAX_DISK_SHARE
 from sppm_pipeline.services.arrays import U64, Bools
 
 if TYPE_CHECKING:
-    from sppm_pipeline.method.connectivity.verdicts import SlabLabels
+    from sppm_pipeline.method.connectivity.streaming import SlabLabels
 
 MIN_SLABS = 6
 """Slabs for each worker at least: at the end workers wait for a sixth of their work at most. Half as many slabs double
@@ -142,7 +142,7 @@ def find_islands(
         union.add(found.labels)
         add_counts(counts, found.counts)
         progress(number)
-    statistics, verdicts = union.finish("largest")
+    statistics, verdicts = union.finish()
     # each slab gets the verdict on its own ids alone
     second = tuple(task._replace(verdict=verdict) for task, verdict in zip(tasks, verdicts, strict=True))
     summary = stack.summary_of_counts(counts)

@@ -10,24 +10,24 @@ from sppm_pipeline.method.connectivity.slab_union import SlabUnion
 from tests.method.connectivity.test_streaming import ByteFilter
 
 
-def serial(mask, connectivity, keep):
-    islands = ByteFilter(*mask.shape[1:], connectivity)
+def serial(mask):
+    islands = ByteFilter(*mask.shape[1:])
     islands.observe(mask)
-    statistics = islands.finish(keep)
+    statistics = islands.finish()
     return islands.clear(mask), statistics
 
 
-def apart(mask, cuts, connectivity, keep):
+def apart(mask, cuts):
     slabs = np.split(mask, cuts)
-    union = SlabUnion(connectivity)
+    union = SlabUnion()
     for slab in slabs:
-        islands = ByteFilter(*mask.shape[1:], connectivity)
+        islands = ByteFilter(*mask.shape[1:])
         for k in range(0, len(slab), 2):  # in steps
             islands.observe(slab[k : k + 2])
         union.add(islands.labels())
-    statistics, verdicts = union.finish(keep)
+    statistics, verdicts = union.finish()
     cleared = [
-        ByteFilter.decided(*mask.shape[1:], len(slab), verdict, connectivity).clear(slab)
+        ByteFilter.decided(*mask.shape[1:], len(slab), verdict).clear(slab)
         for slab, verdict in zip(slabs, verdicts, strict=True)
     ]
     return np.concatenate(cleared), statistics
@@ -39,13 +39,11 @@ def apart(mask, cuts, connectivity, keep):
     st.tuples(st.integers(1, 12), st.integers(1, 8), st.integers(1, 70)),
     st.floats(0.05, 0.9),
     st.sets(st.integers(1, 11), max_size=6),
-    st.sampled_from([6, 26]),
-    st.sampled_from(["largest", 0.05, 0.3, 1.0]),
 )
-def test_cuts_change_neither_a_voxel_nor_a_number(seed, shape, share, cuts, connectivity, keep):
+def test_cuts_change_neither_a_voxel_nor_a_number(seed, shape, share, cuts):
     mask = (np.random.default_rng(seed).random(shape) < share).astype(np.uint8)
-    cleared, statistics = apart(mask, sorted(cut for cut in cuts if cut < shape[0]), connectivity, keep)
-    expected, of_all = serial(mask, connectivity, keep)
+    cleared, statistics = apart(mask, sorted(cut for cut in cuts if cut < shape[0]))
+    expected, of_all = serial(mask)
     assert statistics == of_all
     assert np.array_equal(cleared, expected)
 
@@ -55,10 +53,10 @@ def test_the_first_of_equals_is_kept_wherever_it_is_cut():
     mask[:3, 0, 6] = 1  # begins in the first layer, to the right
     mask[1:4, 0, 1] = 1  # as large, begins later
     mask[4:, 0, 3] = 1
-    expected, of_all = serial(mask, 6, "largest")
+    expected, of_all = serial(mask)
     assert expected[0, 0, 6] == 1
     for cut in range(1, 6):
-        cleared, statistics = apart(mask, [cut], 6, "largest")
+        cleared, statistics = apart(mask, [cut])
         assert statistics == of_all
         assert np.array_equal(cleared, expected)
 
@@ -70,7 +68,7 @@ def test_a_part_that_is_one_through_other_slabs_only():
     for bridge in (0, 8):
         joined = mask.copy()
         joined[bridge, 0, :] = 1
-        cleared, statistics = apart(joined, range(1, 9), 6, "largest")
+        cleared, statistics = apart(joined, range(1, 9))
         assert (statistics.components, statistics.removed_share, statistics.spans) == (1, 0.0, (True, True, True))
         assert np.array_equal(cleared, joined)
 
@@ -84,8 +82,6 @@ def test_calls_out_of_order_and_other_layers_are_refused():
     union.add(islands.labels())
     with pytest.raises(ValueError, match="once"):
         islands.labels()
-    with pytest.raises(ValueError, match="share of the phase"):
-        union.finish(0.0)
     _, (verdict,) = union.finish()
     second = ByteFilter.decided(2, 3, 1, verdict)
     with pytest.raises(InputError, match="not that of the first"):

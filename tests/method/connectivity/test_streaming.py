@@ -36,11 +36,11 @@ def cut(mask, sizes):
         k += n
 
 
-def both_passes(mask, sizes, connectivity, keep):
-    islands = ByteFilter(mask.shape[1], mask.shape[2], connectivity)
+def both_passes(mask, sizes):
+    islands = ByteFilter(mask.shape[1], mask.shape[2])
     for slab in cut(mask, sizes):
         assert islands.observe(slab) == np.count_nonzero(slab)
-    statistics = islands.finish(keep)
+    statistics = islands.finish()
     return np.concatenate([islands.clear(slab) for slab in cut(mask, sizes[::-1])]), statistics
 
 
@@ -58,18 +58,12 @@ def test_after_each_layer_the_largest_component_so_far_is_known():
     st.tuples(st.integers(1, 12), st.integers(1, 7), st.integers(1, 9)),
     st.floats(0.1, 0.9),
     st.lists(st.integers(1, 5), min_size=1, max_size=4),
-    st.sampled_from([6, 26]),
-    st.sampled_from(["largest", 0.05, 0.3, 1.0]),
 )
-def test_slabs_equal_the_whole_array(label, seed, shape, share, sizes, connectivity, keep):
+def test_slabs_equal_the_whole_array(label, seed, shape, share, sizes):
     mask = (np.random.default_rng(seed).random(shape) < share).astype(np.uint8) * 255
-    cleared, statistics = both_passes(mask, sizes, connectivity, keep)
-    labels, voxels = label(mask, BOX, connectivity)
-    if keep == "largest":
-        np.testing.assert_array_equal(cleared, keep_largest(mask, BOX, connectivity))
-    else:
-        stay = np.flatnonzero(voxels >= keep * voxels.sum()) + 1
-        np.testing.assert_array_equal(cleared, np.where(np.isin(labels, stay) & (labels > 0), mask, 0))
+    cleared, statistics = both_passes(mask, sizes)
+    labels, voxels = label(mask, BOX, 6)
+    np.testing.assert_array_equal(cleared, keep_largest(mask, BOX))
     total = int(voxels.sum())
     assert statistics.layers == shape[0]
     assert statistics.voxels == total
@@ -86,7 +80,7 @@ def test_more_ids_than_the_first_storage_holds():
     mask = np.zeros((3, 80, 90), np.uint8)
     mask[::2, ::2, ::2] = 1
     mask[0, 0, :] = 1
-    cleared, statistics = both_passes(mask, [1], 6, "largest")
+    cleared, statistics = both_passes(mask, [1])
     assert statistics.components == find_components(mask).sizes.size > 2000
     assert cleared.sum() == 90
 
@@ -96,7 +90,7 @@ def test_arms_that_meet_only_in_the_last_layer_are_one():
     mask[:, 2, ::2] = 1
     mask[5, 2, :] = 1
     mask[0, 0, 0] = 1
-    cleared, statistics = both_passes(mask, [2], 6, "largest")
+    cleared, statistics = both_passes(mask, [2])
     assert statistics.components == 2
     assert statistics.spans == (True, False, True)
     assert cleared[:, 2].tolist() == mask[:, 2].tolist()
@@ -104,8 +98,8 @@ def test_arms_that_meet_only_in_the_last_layer_are_one():
 
 
 def test_an_empty_part():
-    cleared, statistics = both_passes(np.zeros((3, 4, 5), np.uint8), [2], 6, "largest")
-    assert statistics == (3, 0, 0, 0, 0.0, 0.0, (False, False, False))
+    cleared, statistics = both_passes(np.zeros((3, 4, 5), np.uint8), [2])
+    assert statistics == (3, 0, 0, 0.0, 0.0, (False, False, False))
     assert not cleared.any()
 
 
@@ -128,8 +122,6 @@ def test_the_order_of_calls_is_checked():
     layer = np.zeros((1, 3, 4), np.uint8)
     with pytest.raises(ValueError, match="after finish"):
         islands.clear(layer)
-    with pytest.raises(ValueError, match="share"):
-        islands.finish(0.0)
     islands.finish()
     with pytest.raises(ValueError, match="before finish"):
         islands.observe(layer)
@@ -144,17 +136,16 @@ def test_loose_runs_that_are_written_down_change_nothing(monkeypatch, room, look
     monkeypatch.setattr(streaming, "_PRUNED_FROM", look)
     mask = np.random.default_rng(4).random((9, 6, 7)) < 0.3
     assert 60 < len(find_runs(mask).bounds) // 2 < 10_000
-    for connectivity in (6, 26):
-        cleared, _ = both_passes(mask.astype(np.uint8), [2, 1], connectivity, "largest")
-        assert np.array_equal(cleared != 0, keep_largest(mask, BOX, connectivity))
+    cleared, _ = both_passes(mask.astype(np.uint8), [2, 1])
+    assert np.array_equal(cleared != 0, keep_largest(mask, BOX))
 
 
 def test_what_is_loose_below_the_largest_may_be_too_much_to_write_down(monkeypatch):
     monkeypatch.setattr(streaming, "_MAX_STORED", 100)
     mask = np.random.default_rng(1).random((12, 60, 60)) < 0.12
     mask[8:, 10:50, 10:50] = True  # numbered after thousands of others
-    cleared, _ = both_passes(mask.astype(np.uint8), [5], 6, "largest")
-    assert np.array_equal(cleared != 0, keep_largest(mask, BOX, 6))
+    cleared, _ = both_passes(mask.astype(np.uint8), [5])
+    assert np.array_equal(cleared != 0, keep_largest(mask, BOX))
 
 
 def test_a_second_pass_over_fewer_runs_is_refused():
@@ -175,8 +166,8 @@ def test_what_grows_largest_last_is_kept_though_it_was_loose():
     mask[:, 4, 66] = 1
     mask[4:, 3:] = 1
     mask[2, 0, 3] = 1
-    cleared, statistics = both_passes(mask, [3], 6, "largest")
-    assert (statistics.components, statistics.kept) == (2, 1)
+    cleared, statistics = both_passes(mask, [3])
+    assert statistics.components == 2
     expected = mask.copy()
     expected[:3, :3] = 0
     assert np.array_equal(cleared, expected)
@@ -200,8 +191,7 @@ def test_loose_runs_of_a_column_are_dropped_once_it_has_joined(monkeypatch):
     assert np.array_equal(islands.clear(mask | (np.arange(5) == 4)[:, None] * (np.arange(80) % 40 == 0)), mask)
 
 
-@pytest.mark.parametrize("connectivity", [6, 26])
-def test_rows_with_few_runs_of_others(connectivity):
+def test_rows_with_few_runs_of_others():
     """Rows of many runs of one component, which are not compared with each other, and a few of others among them."""
     z, y, x = np.mgrid[:24, :70, :700]
     mask = np.sin(x / 2.1) + np.sin(y / 2.3) + np.sin((z + x / 9) / 2.7) > 0.3
@@ -210,8 +200,8 @@ def test_rows_with_few_runs_of_others(connectivity):
         mask[k - 3 : k + 3, j - 5 : j + 6, i - 5 : i + 6] = False
         mask[k - 1 : k + 2, j - 3 : j + 3, i - 3 : i + 1] = True
         mask[k, j, i : i + 9] |= bool(i % 2)
-    cleared, statistics = both_passes(mask.astype(np.uint8), [5], connectivity, "largest")
-    assert np.array_equal(cleared != 0, keep_largest(mask, BOX, connectivity))
-    found = find_components(mask, BOX, connectivity)
+    cleared, statistics = both_passes(mask.astype(np.uint8), [5])
+    assert np.array_equal(cleared != 0, keep_largest(mask, BOX))
+    found = find_components(mask, BOX)
     assert statistics.components == found.sizes.size > 8
     assert statistics.removed_share == pytest.approx(1 - found.sizes[0] / found.sizes.sum())
