@@ -23,7 +23,7 @@ from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.method.nouns.conditions import LoadCases
 from sppm_pipeline.method.nouns.maps import Grading

@@ -10,8 +10,7 @@ import numpy as np
 
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.method.fields.formula import CellCache
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField, ScalarField
 from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.connecting.degrees import feasible_degrees
-from sppm_pipeline.method.connecting.greedy import greedy_subgraph
+from sppm_pipeline.method.connecting.greedy import feasible_degrees, greedy_subgraph
 from sppm_pipeline.method.connecting.trees import Periodic, as_points, images_per_pair, periods
 from sppm_pipeline.services.arrays import F64, I64
 

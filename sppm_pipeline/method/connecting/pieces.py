@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.connecting.degrees import clamped_degrees, feasible_degrees
 from sppm_pipeline.method.connecting.exchange import connect_and_fill, improve
+from sppm_pipeline.method.connecting.greedy import clamped_degrees, feasible_degrees
 from sppm_pipeline.method.connecting.moves import CHOSEN, CONFLICT_FROM, DEGREE, FROM, LOWER, SLOTS, TO, UPPER
 from sppm_pipeline.services.arrays import F64, I8, I32, I64
 from sppm_pipeline.services.jit.compiled import jit

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.connecting.bridging import bridging_edges
 from sppm_pipeline.method.connecting.buckets import sorted_into_buckets
-from sppm_pipeline.method.connecting.candidates import edges_of_keys, nearest_keys
+from sppm_pipeline.method.connecting.candidates import bridging_edges, edges_of_keys, nearest_keys
 from sppm_pipeline.method.connecting.relative import relative_neighbors
 from sppm_pipeline.method.connecting.trees import edge_lengths, kruskal, nearest_turns, wrapped
 from sppm_pipeline.services.arrays import F64, I8, I32, I64, Bools

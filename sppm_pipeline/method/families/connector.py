@@ -78,7 +78,7 @@ class Connector(Stage):
         ValueError
             If `join` returns no edges between pores of its piece.
         """
-        from sppm_pipeline.method.connecting.bridging import bridging_edges
+        from sppm_pipeline.method.connecting.candidates import bridging_edges
         from sppm_pipeline.method.connecting.trees import canonical_edges
 
         found = self._edges_of_windows(context, cloud)

@@ -11,7 +11,7 @@ import numpy as np
 from sppm_pipeline import Context, Headline, Rejected, ScalarField, Stage, Tiling, option, options
 from sppm_pipeline.method.connectivity.removal import check_removal, removal_warning
 from sppm_pipeline.method.fields.level_field import LevelField
-from sppm_pipeline.method.fields.wrapped import CleanedField
+from sppm_pipeline.method.fields.scalar_field import CleanedField
 from sppm_pipeline.services.grid import cell_centers
 
 

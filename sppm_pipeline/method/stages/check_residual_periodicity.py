@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline import Context, DesignError, Stage, Tiling, options
-from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.services.grid import cell_centers
 
 

@@ -74,7 +74,7 @@ class BoundedDegreeSubgraph(Connector):
 
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
         from sppm_pipeline.method.connecting.bounded import spanning_subgraph
-        from sppm_pipeline.method.connecting.degrees import clamped_degrees
+        from sppm_pipeline.method.connecting.greedy import clamped_degrees
 
         minimum, maximum = self.degree
         if piece.region == "face" or piece.graded:
@@ -92,7 +92,7 @@ class BoundedDegreeSubgraph(Connector):
     def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         from sppm_pipeline.method.connecting import regional
         from sppm_pipeline.method.connecting.bounded import spanning_subgraph
-        from sppm_pipeline.method.connecting.degrees import feasible_degrees
+        from sppm_pipeline.method.connecting.greedy import feasible_degrees
 
         n = len(cloud.points)
         if n <= regional.WHOLE:
@@ -165,7 +165,7 @@ class BoundedDegreeSubgraph(Connector):
 
     def run(self, context: Context, pores: PoreSet) -> TunnelGraph:
         """Join all pieces, then connect faces and interiors."""
-        from sppm_pipeline.method.connecting.degrees import clamped_degrees
+        from sppm_pipeline.method.connecting.greedy import clamped_degrees
 
         sizes = np.diff(pores.by_piece[1])
         self._warn_of_mode(context, len(pores.centers) if pores.blocks is not None else int(sizes.max(initial=0)))

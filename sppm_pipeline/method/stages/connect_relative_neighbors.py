@@ -34,7 +34,7 @@ class RelativeNeighbors(Connector):
         return max(1.8, 1.1 * self.degree[0] / 2)
 
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[I64, I64]:
-        from sppm_pipeline.method.connecting.degrees import clamped_degrees, feasible_degrees
+        from sppm_pipeline.method.connecting.greedy import clamped_degrees, feasible_degrees
         from sppm_pipeline.method.connecting.relative_degrees import relative_neighbor_graph
         from sppm_pipeline.method.connecting.trees import periods
 

@@ -24,7 +24,7 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.tiler import HALO, at_porosity, designed, lattice_for, measured_tiling, tiling_size
-from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 
 

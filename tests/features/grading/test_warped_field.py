@@ -12,7 +12,7 @@ from sppm_pipeline.features.grading.curved_cells import CylinderCells, Hexahedra
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import checked_mesh
 from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry, warped_field
 from sppm_pipeline.method.fields.formula import FormulaField
-from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.services.grid import Grid
 from tests.features.grading.hexahedral_meshes import star
 

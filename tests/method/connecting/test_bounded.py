@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connecting.bounded import MODES, spanning_subgraph
 from sppm_pipeline.method.connecting.clearance import close_pairs
-from sppm_pipeline.method.connecting.degrees import clamped_degrees, feasible_degrees, harary_edges
+from sppm_pipeline.method.connecting.greedy import clamped_degrees, feasible_degrees, harary_edges
 from sppm_pipeline.method.connecting.trees import canonical_edges, edge_lengths, images_per_pair
 from sppm_pipeline.services.metric import stretched_metric
 

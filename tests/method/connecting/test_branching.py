@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.method.connecting import branching, exact
+from sppm_pipeline.method.connecting import exact
 from sppm_pipeline.method.connecting.bounded import spanning_subgraph
-from sppm_pipeline.method.connecting.branching import shortest_choice
+from sppm_pipeline.method.connecting.exact import shortest_choice
 from sppm_pipeline.method.connecting.program import Program
 from sppm_pipeline.method.connecting.trees import edge_lengths
 from sppm_pipeline.services.metric import stretched_metric
@@ -77,10 +77,10 @@ def test_a_row_of_parity_makes_an_odd_cycle_whole():
 
 
 def test_what_takes_too_long_or_is_too_large_is_left_to_the_solver(monkeypatch):
-    monkeypatch.setattr(branching, "_PROGRAMS", 1)
+    monkeypatch.setattr(exact, "_PROGRAMS", 1)
     assert shortest_choice(two_triangles(), None, 1e-9) is None
     monkeypatch.undo()
-    monkeypatch.setattr(branching, "_LARGEST", 10)
+    monkeypatch.setattr(exact, "_LARGEST", 10)
     assert shortest_choice(two_triangles(), None, 1e-9) is None
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.method.connecting import pieces as many
-from sppm_pipeline.method.connecting.degrees import clamped_degrees
-from sppm_pipeline.method.connecting.greedy import greedy_subgraph
+from sppm_pipeline.method.connecting.greedy import clamped_degrees, greedy_subgraph
 from sppm_pipeline.method.connecting.pieces import greedy_pieces, nearest_in_interiors, piece_degrees
 
 

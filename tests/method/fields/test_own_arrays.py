@@ -9,8 +9,7 @@ import pytest
 
 from sppm_pipeline.features.surface.field_surface import FieldSurface
 from sppm_pipeline.method.fields.level_field import LevelField
-from sppm_pipeline.method.fields.scalar_field import CutField, ScalarField
-from sppm_pipeline.method.fields.wrapped import CleanedField
+from sppm_pipeline.method.fields.scalar_field import CleanedField, CutField, ScalarField
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid
 

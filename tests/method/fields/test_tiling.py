@@ -7,8 +7,8 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.assembly.gather import sample_exact
 from sppm_pipeline.method.fields import tiling
 from sppm_pipeline.method.fields.microstructure import CUTOFF
+from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.method.fields.tiling import Tiling, sampling_tables
-from sppm_pipeline.method.fields.wrapped import RepeatedField
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
 from sppm_pipeline.method.stages.tile_periodic import PeriodicTiling
 from sppm_pipeline.services.bit_rows import unpack

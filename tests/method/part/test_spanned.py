@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from sppm_pipeline.method.part.domain_sampler import distance_layers, reach_bare_borders
 from sppm_pipeline.method.part.inside import inside_layers, inside_test, prepare_inside
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
 from sppm_pipeline.method.part.ray_crossings import prepare_scan
 from sppm_pipeline.method.part.scanline import scan_layers
-from sppm_pipeline.method.part.signed_distance import distance_layers, reach_bare_borders
 from sppm_pipeline.method.part.spanned import prepare_spanned, spanned_layers, spanning_triangles
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.mesh.box_tree import box_tree

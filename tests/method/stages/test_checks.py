@@ -11,8 +11,7 @@ from sppm_pipeline.engine.plan.checking import declared_numbers
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.connectivity.islands import keep_largest
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.wrapped import CleanedField, RepeatedField
+from sppm_pipeline.method.fields.scalar_field import CleanedField, RepeatedField, ScalarField
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
 from sppm_pipeline.method.stages.check_porosity import CheckPorosity
 from sppm_pipeline.method.stages.check_residual_periodicity import CheckResidualPeriodicity

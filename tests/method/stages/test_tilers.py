@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.assembly.contents import check_tiling
 from sppm_pipeline.method.assembly.gather import sample_exact
-from sppm_pipeline.method.fields.wrapped import CleanedField, RepeatedField
+from sppm_pipeline.method.fields.scalar_field import CleanedField, RepeatedField
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
 from sppm_pipeline.method.stages.check_residual_periodicity import CheckResidualPeriodicity

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.services.bit_rows import pack
-from sppm_pipeline.services.formats.deflate import deflated_rows
-from sppm_pipeline.services.formats.prefix_codes import code_lengths
+from sppm_pipeline.services.formats.deflate import code_lengths, deflated_rows
 
 
 def filtered(image):

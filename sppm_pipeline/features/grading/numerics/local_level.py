@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.kernels.level_rows import void_at_level
 from sppm_pipeline.method.kernels.level_spline import (
     control_of_means,
     control_with_some_held,
     extended,
+    void_at_level,
     weights_in_cell,
 )
 from sppm_pipeline.services.arrays import F64, I16, Bools

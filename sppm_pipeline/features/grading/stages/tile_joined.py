@@ -27,7 +27,7 @@ from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_mea
 from sppm_pipeline.features.grading.map_sizes import check_round
 from sppm_pipeline.features.grading.rounds import in_rounds
 from sppm_pipeline.method.connecting.bounded import spanning_subgraph
-from sppm_pipeline.method.connecting.degrees import clamped_degrees
+from sppm_pipeline.method.connecting.greedy import clamped_degrees
 from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField

@@ -10,7 +10,7 @@ import numpy as np
 from sppm_pipeline import Context, DesignError, Palette, Part, ScalarField, Size, Stage, Tiling, options
 from sppm_pipeline.features.surface.field_surface import KEPT_SAMPLES
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
-from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.method.nouns.mesh import RepeatedMesh
 from sppm_pipeline.services.arrays import I64
 
