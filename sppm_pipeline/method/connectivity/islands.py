@@ -21,24 +21,24 @@ class LooseParts(NamedTuple):
     removed_share: float  # their share of the phase
 
 
-def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, True), connectivity: int = 6) -> Mask:
+def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, True)) -> Mask:
     """Copy a mask (nz, ny, nx), leaving only the largest component of the phase (anything but 0).
 
     On the torus this keeps a periodic cell periodic. Of several largest components the one with the first voxel stays.
     """
-    found = find_components(mask, periodic, connectivity)
+    found = find_components(mask, periodic)
     kept = np.array(mask, order="C")
     clear_runs(found.runs.rows, found.runs.bounds, found.of_run == 0, kept.view(np.uint8))
     return kept
 
 
-def loose_parts(mask: Bools | U8, connectivity: int = 6) -> LooseParts:
+def loose_parts(mask: Bools | U8) -> LooseParts:
     """Components besides the largest, with labels that do not wrap: what the paper's rejection looks at.
 
     A cell is rejected if a loose part lies at its surface (`at_boundary` > 0): inside the cell it can be removed
     without a trace, at the surface that would break the match with the neighboring cell.
     """
-    found = find_components(mask, (False, False, False), connectivity)
+    found = find_components(mask, (False, False, False))
     total = int(found.sizes.sum())
     loose = found.sizes[1:]
     share = int(loose.sum()) / total if total else 0.0

@@ -30,9 +30,9 @@ class Radii(NamedTuple):
         return pore, tunnel
 
 
-def radii_of(micro: Microstructure, level: float | None = None) -> Radii:
-    """Radii at a level, that of the microstructure if omitted."""
-    kernels, level = micro.pieces.kernels, micro.level if level is None else level
+def radii_of(micro: Microstructure) -> Radii:
+    """Radii at the level of the microstructure."""
+    kernels, level = micro.pieces.kernels, micro.level
     # an isolated kernel is 1 at its center and nowhere more
     if level >= 1:
         return Radii(0.0, 0.0)

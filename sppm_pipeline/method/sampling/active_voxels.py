@@ -15,7 +15,6 @@ from sppm_pipeline.method.sampling.voxels import Voxels, all_voxels, halved
 from sppm_pipeline.services.arrays import F64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
-_SPOT = (0.0, 0.0, 0.0)
 # Voxels below this fraction of the spacing are within round-off: what is left of them counts as covered.
 _FINEST = 1e-9
 # Plain darts left in every active voxel of a level before the voxels are split again.
@@ -41,7 +40,7 @@ def _add_dart(cells: CellList, x: float, y: float, z: float, side: F64, corner: 
     for axis, value in ((0, x), (1, y), (2, z)):
         if side[axis] > 0.0 and value >= corner[axis] + side[axis]:
             return False
-    if not is_free(cells, (x, y, z), _SPOT, family, member):
+    if not is_free(cells, (x, y, z), family, member):
         return False
     add_point(cells, x, y, z, family, member)
     return True

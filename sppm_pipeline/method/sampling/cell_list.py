@@ -139,20 +139,13 @@ def axis_gap(a: float, b: float, period: float) -> float:
 
 
 @jit
-def _free_of_bucket(
-    row: int,
-    cells: CellList,
-    spot: tuple[float, float, float],
-    half: tuple[float, float, float],
-    family: int,
-    member: int,
-) -> bool:
+def _free_of_bucket(row: int, cells: CellList, spot: tuple[float, float, float], family: int, member: int) -> bool:
     points, period = cells.points, cells.period
     reach2 = cells.reach * cells.reach
     while row >= 0:
-        dx = axis_gap(points[row, 0], spot[0], period[0]) + half[0]
-        dy = axis_gap(points[row, 1], spot[1], period[1]) + half[1]
-        dz = axis_gap(points[row, 2], spot[2], period[2]) + half[2]
+        dx = axis_gap(points[row, 0], spot[0], period[0])
+        dy = axis_gap(points[row, 1], spot[1], period[1])
+        dz = axis_gap(points[row, 2], spot[2], period[2])
         if dx * dx + dy * dy + dz * dz < reach2 and (cells.family[row] != family or cells.member[row] == member):
             return False
         row = cells.following[row]
@@ -181,17 +174,12 @@ def wrapped(index: int, count: int) -> int:
 
 
 @jit
-def is_free(
-    cells: CellList, spot: tuple[float, float, float], half: tuple[float, float, float], family: int, member: int
-) -> bool:
-    """True if no point covers the whole voxel centered at `spot` with half edges `half` (zeros: is the spot free).
-
-    A point covers a voxel when all of the voxel lies closer to it than the spacing.
-    """
+def is_free(cells: CellList, spot: tuple[float, float, float], family: int, member: int) -> bool:
+    """True if no point lies closer to the spot than the spacing."""
     nz, ny, nx = cells.first.shape
     i, j, k = bucket_of(cells, spot[0], spot[1], spot[2])
     # Most darts that fail do so in their own bucket.
-    if not _free_of_bucket(cells.first[k, j, i], cells, spot, half, family, member):
+    if not _free_of_bucket(cells.first[k, j, i], cells, spot, family, member):
         return False
     i0, ni = search_range(i, nx, cells.period[0] == 1.0)
     j0, nj = search_range(j, ny, cells.period[1] == 1.0)
@@ -202,6 +190,6 @@ def is_free(
             jj = wrapped(j0 + dj, ny)
             for di in range(ni):
                 row = cells.first[kk, jj, wrapped(i0 + di, nx)]
-                if row >= 0 and not _free_of_bucket(row, cells, spot, half, family, member):
+                if row >= 0 and not _free_of_bucket(row, cells, spot, family, member):
                     return False
     return True

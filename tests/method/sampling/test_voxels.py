@@ -20,6 +20,16 @@ CASES = [  # lower, side, periodic, spacing
 ]
 
 
+def covered(cells, middle, half, family, member):
+    """True if all of a voxel lies nearer to one point than the spacing."""
+    n = cells.used[0]
+    gap = np.abs(cells.points[:n] - middle)
+    gap = np.where(np.isfinite(cells.period), np.minimum(gap, np.abs(cells.period - gap)), gap) + half
+    counts = (cells.family[:n] != family) | (cells.member[:n] == member)
+    x, y, z = gap.T
+    return bool(((x * x + y * y + z * z < cells.reach**2) & counts).any())
+
+
 def filled(cells, stream, lower, side, wanted, family, member):
     """The fill in plain words: every dart and every part of a voxel asks the cell list."""
     flat = side == 0
@@ -32,7 +42,7 @@ def filled(cells, stream, lower, side, wanted, family, member):
         for voxel in voxels:
             for c, b, a in itertools.product(*(range(n) for n in parts[::-1])):
                 place = voxel * parts + (a, b, c)
-                if is_free(cells, tuple(lower + place * edge + edge / 2), tuple(edge / 2), family, member):
+                if not covered(cells, lower + place * edge + edge / 2, edge / 2, family, member):
                     split.append(place)
         voxels = split
         if not voxels or edge[~flat].min() <= 1e-9 * cells.reach:
@@ -43,7 +53,7 @@ def filled(cells, stream, lower, side, wanted, family, member):
             for axis in np.flatnonzero(~flat):
                 spot[axis] += edge[axis] * next_uniform(stream)
             inside = (spot < lower + side)[~flat].all()
-            if inside and is_free(cells, tuple(spot), (0.0, 0.0, 0.0), family, member):
+            if inside and is_free(cells, tuple(spot), family, member):
                 add_point(cells, *spot, family, member)
                 placed += 1
                 if placed == wanted:
