@@ -35,13 +35,13 @@ def sppm_commands() -> dict[str, Command]:
         ),
         "view": Command(
             "show a run directory in the browser",
-            f"{__name__}.live.command:configure",
-            f"{__name__}.live.command:execute",
+            f"{__name__}.live.serving:configure",
+            f"{__name__}.live.serving:execute",
         ),
         "studio": Command(
             "design a cell in the browser, and save it as a configuration",
-            f"{__name__}.studio.command:configure",
-            f"{__name__}.studio.command:execute",
+            f"{__name__}.studio.server:configure",
+            f"{__name__}.studio.server:execute",
         ),
     }
 
