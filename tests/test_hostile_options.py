@@ -88,6 +88,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "field.sheet": (["  - {stage: sample.elimination, count: 12}"], "relaxation: 2", CHECKED),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
     "design.sizes": ([], "recipe: cell, pore: 0.6 mm, strut: 0.4 mm, draws: 1, resolution: 32", []),
+    "design.stiffness": (
+        [], "recipe: cell, E: 0.1, nu: 0.25, porosity: 0.5, vary: [pore_radius], low: [0.13], high: [0.2], "
+        "search_draws: 1, draws: 3, resolution: 24, max_distance: 0.9", []),
     "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, trials: 1, evaluations: 4", []),
     "tune.stiffness": (
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",
@@ -112,6 +115,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
          "  - {stage: grade.formula, of: weight, formula: 'step(2, x)'}"],
         "cells: [2, 1, 1], cell: 2 mm, resolution: 8, rounds: 1", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
+    "warp.affine": (REPEATED, "stretch: [1, 1.2, 0.9], turn: [0, 0, 30], resolution: 16", CHECKED),
     "warp.cylinder": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
     "warp.sphere": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
     "warp.hexahedra": (TILED, "path: part.vtu", []),

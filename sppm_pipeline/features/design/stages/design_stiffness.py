@@ -42,6 +42,9 @@ SCANNED = (0.0, 0.5, 1.0)
 LIGHTEST = 0.93
 """Largest porosity that is tried where only `max_density` is given."""
 
+MIN_SIZE = 1e-6
+"""Norm of a target over Young's modulus of the solid, below which, and above its inverse, units are confused."""
+
 EVALUATIONS = 12
 """Stiffnesses that a search with one dial usually takes, each the mean of `draws` cells."""
 
@@ -73,7 +76,7 @@ class DesignStiffness(Stage):
 
     target: Path | None = options.target(None, note="a CSV file of a 6 x 6 stiffness", above=None)
     E: float | tuple[float, ...] | None = option(
-        None, help="Young's moduli along x, y and z in place of a file; one for all", above=0, maximum=1e15
+        None, help="Young's moduli along x, y and z in place of a file; one for all", minimum=1e-9, maximum=1e9
     )
     nu: float | tuple[float, ...] | None = option(
         None, help="Poisson's ratios yz, xz and xy, contraction along the second when pulled along the first; one for "
@@ -81,10 +84,12 @@ class DesignStiffness(Stage):
     )  # fmt: skip
     G: float | tuple[float, ...] | None = option(
         None, help="shear moduli yz, xz and xy; if omitted, of a single E and nu those of an isotropic material",
-        above=0, maximum=1e15,
+        minimum=1e-9, maximum=1e9,
     )  # fmt: skip
-    young: float = options.young(1.0, note="of the solid, in the unit of the target")
-    poisson: float = options.poisson(0.3, note="of the solid")
+    young: float = options.young(
+        1.0, note="of the solid, in the unit of the target", above=None, minimum=1e-9, maximum=1e9
+    )
+    poisson: float = options.poisson(0.3, note="of the solid", above=None, below=None, minimum=-0.9, maximum=0.49)
     porosity: float | None = options.porosity(None, note="that is kept; found too if omitted, within `max_density`")
     max_density: float | None = option(
         None, help="largest share of the solid, where no porosity is given", above=0, below=1
@@ -113,7 +118,7 @@ class DesignStiffness(Stage):
                 f"{'neither is' if self.E is None else 'both are'} given"
             )
         if self.E is not None:
-            self._of_constants()
+            self.wanted()
         elif self.nu is not None or self.G is not None:
             raise ConfigError("`nu` and `G` belong to `E`, and the target is a file", hint="leave them out")
         if (self.porosity is None) == (self.max_density is None):
@@ -148,23 +153,28 @@ class DesignStiffness(Stage):
 
     def wanted(self) -> F64:
         """The target, over Young's modulus of the solid."""
-        if self.target is None:
-            return self._of_constants()
+        found = self._of_constants() if self.target is None else self._of_file(self.target)
+        if not MIN_SIZE < (size := float(np.linalg.norm(found))) < 1 / MIN_SIZE:
+            raise ConfigError(
+                f"the target has a norm of {size:.3g} times `young: {self.young:g}`, so far off that they have not the "
+                "same unit", hint="give `young` in the unit of the target",
+            )  # fmt: skip
+        return found
+
+    def _of_file(self, path: Path) -> F64:
         try:
-            found = np.loadtxt(self.target, delimiter=",", ndmin=2)
+            found = np.loadtxt(path, delimiter=",", ndmin=2)
         except (OSError, ValueError) as error:
-            raise InputError(
-                f"{self.target} is no table of numbers: {error}", hint="six rows of six, with commas"
-            ) from None
+            raise InputError(f"{path} is no table of numbers: {error}", hint="six rows of six, with commas") from None
         if (
             found.shape != (6, 6)
             or not np.isfinite(found).all()
             or np.abs(found - found.T).max() > 1e-3 * np.abs(found).max()
         ):
-            raise InputError(f"{self.target} holds no symmetric 6 x 6 matrix")
+            raise InputError(f"{path} holds no symmetric 6 x 6 matrix")
         found = (found + found.T) / 2
         if np.linalg.eigvalsh(found)[0] <= 0:
-            raise InputError(f"{self.target} has an eigenvalue of 0 or less: no structure has this stiffness")
+            raise InputError(f"{path} has an eigenvalue of 0 or less: no structure has this stiffness")
         return np.asarray(found / self.young)
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
