@@ -294,8 +294,13 @@ class _Cells:
         for draw in range(draws):
             field = self._cell(tuple(map(float, dials)), draw)
             report = solver.stiffness_of(cast(Context, Quiet(self._context)), field)
+            if not (size := float(np.linalg.norm(report.stiffness))):
+                raise DesignError(
+                    f"a cell of the recipe {self._recipe.name!r} carries no load at the porosity that is tried",
+                    hint="lower the porosity, or raise `resolution` or the number of pores",
+                )
             found.append(report.stiffness)
-            bars.append(float(np.linalg.norm(report.error) / np.linalg.norm(report.stiffness)))
+            bars.append(float(np.linalg.norm(report.error)) / size)
             self._solved += 1
             total = self._stage.search_draws * EVALUATIONS + 2 * self._stage.draws
             self._context.progress(min(self._solved, total), total, "cells homogenized")
