@@ -12,7 +12,8 @@ from sppm_pipeline.engine.plan.checking import declared_numbers
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.printing.print_report import MARKS, MEASURES, parse_rule
+from sppm_pipeline.features.printing.print_pictures import MARKS
+from sppm_pipeline.features.printing.print_report import MEASURES, parse_rule
 from sppm_pipeline.features.printing.stages.check_print import CheckPrint
 from sppm_pipeline.method.nouns.printer import cards
 from sppm_pipeline.method.slicing.slice_stack import ArraySlices, SliceStack

@@ -11,16 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 import numpy as np
 
 from sppm_pipeline import ConfigError, Context, Headline, Length, Rejected, SliceStack, Stage, option, options
-from sppm_pipeline.features.printing.print_report import (
-    PrintReport,
-    curves_chart,
-    marked_layer,
-    marked_sheet,
-    parse_rule,
-    rounded,
-    throats_chart,
-    trapped,
-)
+from sppm_pipeline.features.printing.print_pictures import curves_chart, marked_layer, marked_sheet, throats_chart
+from sppm_pipeline.features.printing.print_report import PrintReport, parse_rule, rounded, trapped
 from sppm_pipeline.features.printing.printer_writer import Job
 from sppm_pipeline.method.nouns.printer import Resin, cards
 from sppm_pipeline.services.arrays import U8, Bools

@@ -33,7 +33,8 @@ from sppm_pipeline.features.printing.numerics.routes import (
     signed_depths,
     unit,
 )
-from sppm_pipeline.features.printing.print_report import drains_sheet, rounded
+from sppm_pipeline.features.printing.print_pictures import drains_sheet
+from sppm_pipeline.features.printing.print_report import rounded
 from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid

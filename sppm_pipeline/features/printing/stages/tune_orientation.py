@@ -202,7 +202,7 @@ class TuneOrientation(Stage):
     def _write(self, context: Context, rows: list[dict[str, Any]], views: list[F64], voxel: float) -> None:
         from PIL import Image
 
-        from sppm_pipeline.features.printing.print_report import orientations_sheet
+        from sppm_pipeline.features.printing.print_pictures import orientations_sheet
 
         folder = context.output(self.report)
         folder.mkdir()
