@@ -54,6 +54,7 @@ from sppm_pipeline.method.families.field_maker import FieldMaker as FieldMaker
 from sppm_pipeline.method.families.field_maker import PartFieldMaker as PartFieldMaker
 from sppm_pipeline.method.families.file_writer import MeshWriter as MeshWriter
 from sppm_pipeline.method.families.homogenizer import Homogenizer as Homogenizer
+from sppm_pipeline.method.families.homogenizer import SidedHomogenizer as SidedHomogenizer
 from sppm_pipeline.method.families.layer_writer import LayerWriter as LayerWriter
 from sppm_pipeline.method.families.sampler import Sampler as Sampler
 from sppm_pipeline.method.families.tiler import Tiler as Tiler

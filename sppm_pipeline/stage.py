@@ -45,6 +45,7 @@ FAMILIES: Mapping[str, str] = {
     "crush": "a block is compressed",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",
+    "print": "layers become what a machine makes of them",
     "write": "an artifact becomes files",
 }
 

@@ -13,6 +13,8 @@ REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.voxels": {"path": "a.npy"},
     "read.scan": {"path": "a.npy"},
+    "tune.match": {"vary": ("total",), "low": (1.0,), "high": (2.0,)},
+    "print.simulate": {"spread": Length(0.02), "penetration": Length(0.1), "cure_depth": Length(0.1)},
     "read.volume_mesh": {"path": "a.vtu"},
     "read.compression": {"path": "a.csv"},
     "read.primitive": {"shape": "box", "size": ()},

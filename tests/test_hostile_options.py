@@ -61,6 +61,15 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.scan": ([], "path: image.npy", []),
     "field.voxels": (IMAGE, "", []),
     "measure.statistics": (REPEATED, "resolution: 16", []),
+    "tune.match": (
+        ["  - {stage: read.voxels, path: image.npy}"], "recipe: cell, vary: [field.gaussian.pore_radius], low: [0.1], "
+        "high: [0.2], starts: 2, evaluations: 3, hold_out: false", []),
+    "check.scan": (
+        [*REPEATED, "  - {stage: extract.voxels, resolution: 16}", "  - {stage: field.voxels}"],
+        "from: {design: tile.periodic, scan: field.voxels}, resolution: 16, properties: false", []),
+    "print.simulate": (
+        [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit}",
+         "  - {stage: slice.field, pixel: 0.5}"], "spread: 0.1, penetration: 0.5, cure_depth: 0.5", []),
     "write.statistics": ([*REPEATED, "  - {stage: measure.statistics, resolution: 16}"], "", []),
     "read.volume_mesh": ([], "path: part.vtu", []),
     "grade.formula": ([], "of: porosity, formula: 0.5 + 0*x", []),

@@ -30,6 +30,7 @@ SENTENCES = {
     "path": "the direction, to read or to write, is that of the stage",
     "of": "says whose property the stage makes: that of a phase, or a parameter of the design",
     "faces": "says what the stage does with the faces that cells share: what lies on them, or what they are held at",
+    "sides": "what is done at the sides of a body that is crushed, or what lies beyond those of a cell",
     "values": "what stands in an image, or in a table",
     "density": "a share of solid, or the bounds of what a structure may have",
     "mass": "of a specimen that was tested, or the target of a part",

@@ -8,6 +8,9 @@ STAGES = {
     "read.scan": "ReadScan",
     "field.voxels": "FieldVoxels",
     "measure.statistics": "MeasureStatistics",
+    "tune.match": "TuneMatch",
+    "check.scan": "CheckScan",
+    "print.simulate": "PrintSimulate",
     "write.statistics": "WriteStatistics",
 }
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import Context, DesignError, Stage, Voxels, option
 from sppm_pipeline.engine.process.budget import require_memory
 from sppm_pipeline.features.scans.image_field import BYTES_OF_A_VOXEL, ImageField, check_layers
-from sppm_pipeline.method.nouns.voxels import MAX_THIN_SHARE, THIN
+from sppm_pipeline.method.nouns.voxels import MAX_FACE_MISMATCH, MAX_THIN_SHARE, THIN
 from sppm_pipeline.numerics import find_components, paint_runs
 
 SMOOTHING = 1.0
@@ -120,7 +120,13 @@ class ImageStage(Stage):
     ) -> None:
         image = Voxels(solid.view(np.uint8), spacing, False, (periodic,) * 3)
         thin = image.thin_share()
-        context.report(porosity=1 - float(solid.mean()), thin_share=thin, face_mismatch=list(image.face_mismatch()))
+        mismatch = image.face_mismatch()
+        context.report(porosity=1 - float(solid.mean()), thin_share=thin, face_mismatch=list(mismatch))
+        if periodic and max(mismatch) > MAX_FACE_MISMATCH:
+            context.warn(
+                f"opposite faces of the image differ {max(mismatch):.2g} times as much as neighboring layers: it is no "
+                "periodic cell; read it without `periodic`, and homogenize it with `sides: mirror`"
+            )
         if thin > MAX_THIN_SHARE:
             context.warn(
                 f"{thin:.0%} of the solid is thinner than {THIN} voxels, so that sizes and stiffness depend on the "

@@ -47,7 +47,7 @@ class StatisticsReport(Report):
     """
 
     headline: ClassVar[tuple[str, ...]] = (
-        "porosity", "solid.thickness", "void.thickness", "surface", "euler", "anisotropy",
+        "porosity", "surface", "euler", "anisotropy",
     )  # fmt: skip
 
     grid: tuple[int, int, int] = field(metadata=number("#3"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -244,14 +244,15 @@ class Homogenizer(Stage):
             if not all(source.periodic):
                 raise DesignError(
                     f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
-                    hint="where it is read, say `periodic: true` of a periodic cell and `mirror: true` of a scan",
+                    hint="read a periodic cell with `periodic: true`, and homogenize a scan with `sides: mirror`",
                 )
             self._check_memory(context, source.shape, bytes_per_voxel)
             return source.shape, source.spacing
         if not source.periodic:
             raise DesignError(
                 "homogenization needs a periodic cell; this field ends at the border of its cells or part",
-                hint="take the cell itself (`from: tune.porosity`, say), or a tiling with `tile.periodic`",
+                hint="take the cell itself (`from: tune.porosity`, say), a tiling with `tile.periodic`, or, of a scan, "
+                "`sides: mirror`",
             )
         if (coarse := source.coarseness(1 / self.resolution)) is not None:
             context.warn(coarse)
@@ -319,3 +320,34 @@ class Homogenizer(Stage):
             "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
             limit=context.memory_limit,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SidedHomogenizer(Homogenizer):
+    """Base of homogenizers that take what does not repeat, such as scans."""
+
+    sides: str = option(
+        "periodic", help="what lies beyond the sides; periodic: the cell repeats; mirror: its mirror images, eight "
+        "times as many voxels, as if what does not repeat, such as a scan, were loaded between smooth plates",
+        choices=("periodic", "mirror"),
+    )  # fmt: skip
+
+    def sided(self, context: Context, source: ScalarField | Voxels) -> ScalarField | Voxels:
+        """The cell that repeats: `source` itself, or with its mirror images; reports which."""
+        context.report(sides=self.sides)
+        if self.sides == "periodic":
+            return source
+        if isinstance(source, Voxels):
+            return source.mirrored()
+        from sppm_pipeline.method.fields.scalar_field import MirroredField
+
+        return MirroredField(source)
+
+    def solving(self, source: Size, repeats: float = 1.0) -> Size:
+        if self.sides == "periodic":
+            return super().solving(source, repeats)
+        body = source.geometry
+        if body is not None:
+            x, y, z = body.box
+            body = replace(body, box=(2 * x, 2 * y, 2 * z), volume=8 * body.volume)
+        return super().solving(replace(source, voxels=8 * source.voxels, geometry=body), repeats)

@@ -82,6 +82,10 @@ energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=
 
 threshold = _shared("gray value from which on a voxel is solid", minimum=-1e15, maximum=1e15)
 
+# resins
+penetration = _shared("depth D_p at which light has fallen to 1/e in the resin", unit="mm", minimum=1e-3, maximum=5)
+cure_depth = _shared("depth C_d to which one exposure cures the resin", unit="mm", minimum=1e-3, maximum=5)
+
 axis = _shared("axis of the load, flow, sound or section", choices=("x", "y", "z"))
 
 # parts and meshes

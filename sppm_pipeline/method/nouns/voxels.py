@@ -220,7 +220,7 @@ class Voxels(Artifact):
                    if ratio > MAX_FACE_MISMATCH]:  # fmt: skip
             warnings.append(
                 f"opposite faces of the image do not fit along {', '.join(bad)} times the mismatch of neighboring "
-                "layers: it is not a periodic cell, and the result is wrong near its faces; read it with `mirror: true`"
+                "layers: it is not a periodic cell, and the result is wrong near its faces; take `sides: mirror`"
             )
         if (thin := self.thin_share(void=void)) > MAX_THIN_SHARE:
             warnings.append(

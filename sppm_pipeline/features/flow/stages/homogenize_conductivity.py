@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
+from sppm_pipeline import ConfigError, Context, ScalarField, SidedHomogenizer, Voxels, option, options
 from sppm_pipeline.features.flow.permeability import ConductivityReport
 from sppm_pipeline.nouns import VoxelCell
 from sppm_pipeline.numerics import grids_below, per_phase, refined
@@ -37,7 +37,7 @@ At 32 voxels, cells of the paper have up to 0.15."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizeConductivity(Homogenizer):
+class HomogenizeConductivity(SidedHomogenizer):
     """Compute the effective conductivity of a periodic cell on voxels: of heat, charge, or what diffuses.
 
     One phase conducts, the other insulates: the solid, or the void with ``of: void`` (diffusion in the pores). With
@@ -94,6 +94,7 @@ class HomogenizeConductivity(Homogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases, on the coarser grid first."""
+        source = self.sided(context, source)
         self.check_image(context, source, void=self.of == "void")
         counts = self._resolutions(is_image=isinstance(source, Voxels))
         if len(counts) == 1:

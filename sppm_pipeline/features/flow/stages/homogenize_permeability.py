@@ -8,7 +8,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, DesignError, Homogenizer, Length, ScalarField, Voxels, option, options
+from sppm_pipeline import (
+    Context,
+    DesignError,
+    Homogenizer,
+    Length,
+    ScalarField,
+    SidedHomogenizer,
+    Voxels,
+    option,
+    options,
+)
 from sppm_pipeline.features.flow.numerics.faces import (
     Faces,
     Percolation,
@@ -144,7 +154,7 @@ def _finite(values: tuple[float, ...]) -> tuple[float | None, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizePermeability(FlowHomogenizer):
+class HomogenizePermeability(SidedHomogenizer, FlowHomogenizer):
     """Compute the permeability of the pores of a periodic cell: Stokes flow on a staggered grid.
 
     Walls lie where the field is zero, between the points of the grid, which converges much faster than whole voxels;
@@ -152,6 +162,9 @@ class HomogenizePermeability(FlowHomogenizer):
     and in square meters and darcy where the cell has a physical size. Pockets of the void that no flow reaches are
     left out with a warning. The report holds as well the thermal permeability, tortuosities, and the constant of
     Kozeny and Carman; `write.flow` draws the flow.
+
+    With `sides: mirror` the flow of a scan passes no mirror, as between smooth plates; the edge of an image is then
+    that of the scan with its mirror images, twice as long.
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated, and the
     difference becomes the error bar of the result, which stays that of the finest grid.
@@ -170,6 +183,7 @@ class HomogenizePermeability(FlowHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
         """Solve for three flows, on coarser grids first if an error bar is requested."""
+        source = self.sided(context, source)
         self.check_image(context, source, void=True)
         if self.grids == 1:
             return self.flow_of(context, source)

@@ -96,14 +96,8 @@ class CheckPrint(Stage):
         None, help="resin; `sppm printers --resins` lists them, for cure-through and, with a `printer`, time and price"
     )
     cards: Path | None = options.cards(None)
-    penetration: Length | None = option(
-        None, help="depth D_p at which light has fallen to 1/e in the resin; that of its card if omitted", unit="mm",
-        minimum=1e-3, maximum=5,
-    )  # fmt: skip
-    cure_depth: Length | None = option(
-        None, help="depth C_d to which one exposure cures the resin; that of its card if omitted", unit="mm",
-        minimum=1e-3, maximum=5,
-    )  # fmt: skip
+    penetration: Length | None = options.penetration(None, note="that of its card if omitted")
+    cure_depth: Length | None = options.cure_depth(None, note="that of its card if omitted")
     loss: float = option(
         0.05, help="resin that is washed away, as a fraction of what becomes solid", minimum=0, maximum=10
     )

@@ -1,1 +1,1 @@
-"""Statistics of images."""
+"""Statistics of images, and the motion that lays one surface onto another."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, DesignError, Palette, ScalarField, Size, Stage, Voxels, option, options
+from sppm_pipeline import Context, DesignError, Headline, Palette, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.engine.process.budget import require_memory
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport
 from sppm_pipeline.numerics import cell_centers
@@ -36,6 +36,11 @@ class MeasureStatistics(Stage):
 
     name: ClassVar[str] = "measure.statistics"
     reported: ClassVar[tuple[str, ...]] = ()
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("porosity", error="porosity_error"), Headline("surface", "surface", "1/{unit}", "surface_error"),
+        Headline("solid.thickness", "struts", "{unit}"), Headline("void.thickness", "pores", "{unit}"),
+        Headline("euler"), Headline("anisotropy"),
+    )  # fmt: skip
 
     resolution: int = options.resolution(64, note="of fields; images keep theirs")
     subcubes: int = option(2, help="blocks along each axis whose scatter makes the error bars; 1 for none",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
 from sppm_pipeline.features.stiffness.numerics.refinement import Limit, limit_of_grids, mean_thickness, second_order
-from sppm_pipeline.method.families.homogenizer import LOCKING, VoxelCell, per_phase, refined
+from sppm_pipeline.method.families.homogenizer import LOCKING, SidedHomogenizer, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.arrays import F64
@@ -296,7 +296,7 @@ def _held_stress(stiffness: F64, expansion: F64 | None) -> F64:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizeVoxel(ElasticHomogenizer):
+class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
     """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
@@ -305,6 +305,10 @@ class HomogenizeVoxel(ElasticHomogenizer):
     has an error bar; `grids: 1` with `fractions: binary` is the paper's way. Images may hold several phases, each with
     a material of its own; `extract.phases` makes them of fields. What fills the void has a stiffness by
     `filling_young`; voxels at the surface then have a mean of both.
+
+    A cell that does not repeat, such as a scan, is loaded with its mirror images (`sides: mirror`): its sides stay
+    plane under tension and take no shear, the mixed conditions of Pahr and Zysset (2008). The result is then
+    orthotropic whatever the scan is, and has no coupling of shear to tension.
 
     Given the coefficients of thermal expansion of the phases, it finds that of the cell as well.
     """
@@ -368,6 +372,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize."""
+        source = self.sided(context, source)
         self.check_image(context, source)
         if self.stretch is not None and not isinstance(source, ScalarField):
             raise ConfigError("an image is not stretched", hint="leave out `stretch`, or state its `spacing`")
