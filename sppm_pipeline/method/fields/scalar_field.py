@@ -12,7 +12,7 @@ import numpy as np
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.nouns.artifact import Artifact, frozen, optional_module
-from sppm_pipeline.services.arrays import F32, I32, U8, U64, Bools
+from sppm_pipeline.services.arrays import F32, F64, I32, U8, U64, Bools
 from sppm_pipeline.services.grid import Grid, cell_centers
 
 if TYPE_CHECKING:
@@ -457,7 +457,7 @@ class MirroredField(WrappedField):
         return values
 
 
-def _mirrored_runs(positions: NDArray[np.float64], period: int) -> list[tuple[slice, float, bool]]:
+def _mirrored_runs(positions: F64, period: int) -> list[tuple[slice, float, bool]]:
     """Samples of an axis between mirrors: which they are, where the lowest of them is read, and whether backwards."""
     image = np.floor(positions / period + 1e-12).astype(np.int64)
     ends = [0, *(np.flatnonzero(np.diff(image)) + 1).tolist(), len(positions)]
