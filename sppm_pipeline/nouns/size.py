@@ -161,8 +161,8 @@ class Geometry:
 class Size:
     """Counts of what a stage makes or works through, and what later stages derive theirs from.
 
-    The counts are the units of the table of rates (`engine.plan.estimate`). `sums` are evaluated kernels, `resident` are
-    values that are held at a time, `outline` are pixels whose neighbor differs, `mid_nodes` those of quadratic
+    The counts are the units of the table of rates (`engine.plan.estimate`). `sums` are evaluated kernels, `resident`
+    are values that are held at a time, `outline` are pixels whose neighbor differs, `mid_nodes` those of quadratic
     tetrahedra.
     """
 
