@@ -339,7 +339,7 @@ class SidedHomogenizer(Homogenizer):
             return source
         if isinstance(source, Voxels):
             return source.mirrored()
-        from sppm_pipeline.method.fields.scalar_field import MirroredField
+        from sppm_pipeline.method.fields.mirrored import MirroredField
 
         return MirroredField(source)
 
