@@ -20,10 +20,9 @@ from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.features.walls.stages.field_walls import WalledMicrostructure
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.scalar_field import RepeatedField, ScalarField
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.method.nouns.conditions import LoadCases
 from sppm_pipeline.method.nouns.maps import Grading

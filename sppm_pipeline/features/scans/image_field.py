@@ -25,8 +25,8 @@ MAX_LOST = 0.01
 _GRAIN = 2.0**-20
 """Positions are rounded to this part of a voxel, so that those of the next period are the same."""
 
-BYTES_OF_A_VOXEL = 9
-"""The value, its image of 8 bits, and the sorted copy by which a level is found."""
+BYTES_OF_A_VOXEL = 15
+"""Measured at 256^3: 10.1 of a gray image of 8 bits, 14.1 of a binary one, whose level is found in a sorted copy."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
