@@ -6,14 +6,9 @@ from sppm_pipeline.hookspecs import Command, hookimpl
 from sppm_pipeline.nouns.viewers import Viewer
 
 STAGES = {
-    "write.picture": "WritePicture",
-    "write.section": "WriteSection",
-    "write.view": "WriteView",
-    "write.chart": "WriteChart",
-    "write.bars": "WriteBars",
-    "write.sheet": "WriteSheet",
-    "write.table": "WriteTable",
-}
+    "write.picture": "WritePicture", "write.section": "WriteSection", "write.view": "WriteView",
+    "write.chart": "WriteChart", "write.bars": "WriteBars", "write.sheet": "WriteSheet", "write.table": "WriteTable",
+}  # fmt: skip
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

@@ -5,13 +5,9 @@ from __future__ import annotations
 from sppm_pipeline import hookimpl
 
 STAGES = {
-    "read.compression": "ReadCompression",
-    "tune.plateau": "TunePlateau",
-    "measure.compression": "MeasureCompression",
-    "crush.voxel": "CrushVoxel",
-    "write.curves": "WriteCurves",
-    "write.frames": "WriteFrames",
-}
+    "read.compression": "ReadCompression", "tune.plateau": "TunePlateau", "measure.compression": "MeasureCompression",
+    "crush.voxel": "CrushVoxel", "write.curves": "WriteCurves", "write.frames": "WriteFrames",
+}  # fmt: skip
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

@@ -375,28 +375,16 @@ class Crusher(CrusherOptions):
         size = spacing if physical else None
         solid = np.count_nonzero(image) / image[0].size / len(image)
         return CrushedBody(
-            strain=history.strain,
-            stress=0.5 * unit * (history.top + history.bottom),
-            unit=self.stress_unit,
-            origin="simulated",
-            area=nx * ny * size**2 if size else None,
-            height=nz * size if size else None,
+            strain=history.strain, stress=0.5 * unit * (history.top + history.bottom), unit=self.stress_unit,
+            origin="simulated", area=nx * ny * size**2 if size else None, height=nz * size if size else None,
             density=self.solid_density * solid if self.solid_density else None,
             energies={"external": history.work * per_volume, **energies},
-            plates=unit * np.stack([history.bottom, history.top], axis=1),
-            numbers=numbers,
-            ended=ended,
-            grid=image.shape[::-1],
-            spacing=spacing,
-            physical=physical,
-            axis=self.axis,
-            voxels=(body.voxels + lift)[:, back],
-            phases=body.phases + 1,
-            elements=body.corners[:, columns],
+            plates=unit * np.stack([history.bottom, history.top], axis=1), numbers=numbers, ended=ended,
+            grid=image.shape[::-1], spacing=spacing, physical=physical, axis=self.axis,
+            voxels=(body.voxels + lift)[:, back], phases=body.phases + 1, elements=body.corners[:, columns],
             frame_strains=np.array([frame.strain for frame in kept]),
             frame_nodes=np.stack([((frame.nodes + lift) * spacing)[:, back] for frame in kept]),
-            frame_alpha=np.stack([frame.alpha for frame in kept]),
-            frame_released=np.zeros((0, 0), bool)
+            frame_alpha=np.stack([frame.alpha for frame in kept]), frame_released=np.zeros((0, 0), bool)
             if self.failure == "none"
             else np.stack([frame.released for frame in kept]),
-        )
+        )  # fmt: skip

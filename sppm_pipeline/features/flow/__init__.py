@@ -5,13 +5,10 @@ from __future__ import annotations
 from sppm_pipeline import hookimpl
 
 STAGES = {
-    "homogenize.conductivity": "HomogenizeConductivity",
-    "homogenize.permeability": "HomogenizePermeability",
-    "homogenize.acoustics": "HomogenizeAcoustics",
-    "write.flow": "WriteFlow",
-    "write.absorption": "WriteAbsorption",
+    "homogenize.conductivity": "HomogenizeConductivity", "homogenize.permeability": "HomogenizePermeability",
+    "homogenize.acoustics": "HomogenizeAcoustics", "write.flow": "WriteFlow", "write.absorption": "WriteAbsorption",
     "write.network": "WriteNetwork",
-}
+}  # fmt: skip
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 from sppm_pipeline.hookspecs import hookimpl
 
 STAGES = {
-    "tune.stiffness": "TuneStiffness",
-    "homogenize.realizations": "HomogenizeRealizations",
-    "homogenize.voxel": "HomogenizeVoxel",
-    "measure.onset": "MeasureOnset",
-    "write.stiffness": "WriteStiffness",
-}
+    "tune.stiffness": "TuneStiffness", "homogenize.realizations": "HomogenizeRealizations",
+    "homogenize.voxel": "HomogenizeVoxel", "measure.onset": "MeasureOnset", "write.stiffness": "WriteStiffness",
+}  # fmt: skip
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

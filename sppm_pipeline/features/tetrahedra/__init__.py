@@ -10,13 +10,9 @@ if TYPE_CHECKING:
     from sppm_pipeline.stage import StageAlias
 
 STAGES = {
-    "read.volume_mesh": "ReadVolumeMesh",
-    "mesh.isosurface_stuffing": "IsosurfaceStuffing",
-    "mesh.boundary": "Boundary",
-    "homogenize.tet": "HomogenizeTet",
-    "check.volume_mesh": "CheckVolumeMesh",
-    "write.volume_mesh": "WriteVolumeMesh",
-}
+    "read.volume_mesh": "ReadVolumeMesh", "mesh.isosurface_stuffing": "IsosurfaceStuffing", "mesh.boundary": "Boundary",
+    "homogenize.tet": "HomogenizeTet", "check.volume_mesh": "CheckVolumeMesh", "write.volume_mesh": "WriteVolumeMesh",
+}  # fmt: skip
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

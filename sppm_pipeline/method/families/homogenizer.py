@@ -143,13 +143,10 @@ class Quiet:
 
 
 def refined(
-    context: Context,
-    source: ScalarField | Voxels,
-    counts: list[int],
-    solve: Callable[[Context, int, ScalarField | Voxels], Report],
-    values: Callable[[Report], F64],
+    context: Context, source: ScalarField | Voxels, counts: list[int],
+    solve: Callable[[Context, int, ScalarField | Voxels], Report], values: Callable[[Report], F64],
     assumed: float = 2.0,
-) -> tuple[list[int], list[Report], Limit]:
+) -> tuple[list[int], list[Report], Limit]:  # fmt: skip
     """Voxels along an edge and report of each grid of a refinement, and the limit of fine grids extrapolated.
 
     Grids of an image are made from blocks of its voxels, whatever the `counts`, and steps at surfaces make its errors
@@ -192,12 +189,9 @@ class Homogenizer(Stage):
         choices=("auto", "binary"),
     )
     solver_tolerance: float = option(
-        1e-4,
-        help="relative error of the result left by the solver, estimated",
-        minimum=1e-12,
-        maximum=0.1,
+        1e-4, help="relative error of the result left by the solver, estimated", minimum=1e-12, maximum=0.1,
         formerly="tolerance",
-    )
+    )  # fmt: skip
     residual: float | None = options.residual(None, note="in place of `solver_tolerance`")
     iterations: int = options.iterations(1000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))

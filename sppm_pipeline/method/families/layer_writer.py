@@ -157,21 +157,11 @@ class LayerWriter(Stage):
             (target / f"{number:0{digits}d}{self.suffix}").write_bytes(data)
         nx, ny, nz = stack.shape
         manifest = {
-            "format": 2,
-            "layers": nz,
-            "width_px": nx,
-            "height_px": ny,
-            "pixel_mm": list(stack.pixel_mm),
-            "layer_mm": stack.layer_mm,
-            "origin_mm": list(stack.origin_mm),
-            **self.encoding(stack),
-            "first_file": f"{0:0{digits}d}{self.suffix}",
-            "solid_value": 255,
-            "section": "mid-height of the layer",
-            "row_0": "+y",
-            "column_0": "-x",
-            **layers.findings,
-        }
+            "format": 2, "layers": nz, "width_px": nx, "height_px": ny, "pixel_mm": list(stack.pixel_mm),
+            "layer_mm": stack.layer_mm, "origin_mm": list(stack.origin_mm), **self.encoding(stack),
+            "first_file": f"{0:0{digits}d}{self.suffix}", "solid_value": 255, "section": "mid-height of the layer",
+            "row_0": "+y", "column_0": "-x", **layers.findings,
+        }  # fmt: skip
         (target / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
 
     def encoding(self, stack: SliceStack) -> dict[str, Any]:

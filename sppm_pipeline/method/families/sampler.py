@@ -38,21 +38,14 @@ class Sampler(Stage):
     needs_whole_cell: ClassVar[str] = ""
 
     edge: Length | None = options.edge(
-        None,
-        note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
-        unit=None,
-        above=None,
-        minimum=1e-6,
-        maximum=1e6,
-    )
+        None, note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
+        unit=None, above=None, minimum=1e-6, maximum=1e6,
+    )  # fmt: skip
     gap: Length | None = option(
         None,
         help="distance d from the faces to the box of the interior pores; if omitted the spacing, or half of it where "
-        "distances to face pores are checked one by one",
-        unit="cell size",
-        minimum=0,
-        maximum=1e6,
-    )
+        "distances to face pores are checked one by one", unit="cell size", minimum=0, maximum=1e6,
+    )  # fmt: skip
 
     @abstractmethod
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> F64:

@@ -106,13 +106,9 @@ class DividedLayers:
     """
 
     def __init__(
-        self,
-        context: Context,
-        stack: SampledSlices,
-        writer: Encoder,
-        shown: Collection[int],
+        self, context: Context, stack: SampledSlices, writer: Encoder, shown: Collection[int],
         show: Callable[[int, U8], None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._context, self._stack, self._shown, self._show = context, stack, shown, show
         self._common = (stack, writer)
         self.findings: dict[str, Any] = {}

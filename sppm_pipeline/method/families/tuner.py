@@ -151,13 +151,10 @@ class Tuner(Stage):
         assert numbers is not None
         name, number, made = what[0], numbers[0], fields[value]
         context.report(
-            varied=".".join(varied.places[0]) if len(varied.places) == 1 else varied.name,
-            value=value,
-            **{name: number, f"{name}_error": number / target - 1},
-            **more(number, made),
-            **{counted[0]: len(curve)},
+            varied=".".join(varied.places[0]) if len(varied.places) == 1 else varied.name, value=value,
+            **{name: number, f"{name}_error": number / target - 1}, **more(number, made), **{counted[0]: len(curve)},
             curve=curve,
-        )
+        )  # fmt: skip
         return made
 
 

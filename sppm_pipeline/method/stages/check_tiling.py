@@ -58,16 +58,12 @@ class CheckTiling(Stage):
         face, edge, corner = (float(n / m) if m else 0.0 for n, m in zip(alike, pairs, strict=True))
         score, largest = rule2_scores(interior, periodic=periodic)
         context.report(
-            rule1_violations=int(broken.sum()),
-            rule2_score=float(score.sum() / max(1, counts.sum())),
-            rule2_fraction=float(score.sum() / largest.sum()) if largest.any() else 1.0,
-            alike_across_faces=face,
-            alike_across_edges=edge,
-            alike_across_corners=corner,
-            interiors=len(used),
+            rule1_violations=int(broken.sum()), rule2_score=float(score.sum() / max(1, counts.sum())),
+            rule2_fraction=float(score.sum() / largest.sum()) if largest.any() else 1.0, alike_across_faces=face,
+            alike_across_edges=edge, alike_across_corners=corner, interiors=len(used),
             colors=[len(np.unique(faces[faces >= 0])) for faces in arrays.faces],
             interior_entropy=float(-(frequencies * np.log2(frequencies)).sum()) + 0.0,
-        )
+        )  # fmt: skip
         if tileset.kind != "fresh":
             drawn = 1 if wang else tileset.micro.interiors
             context.report(

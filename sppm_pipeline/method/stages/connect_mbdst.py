@@ -51,12 +51,9 @@ class BoundedDegreeSubgraph(Connector):
         None, help="smallest distance between tunnels that share no pore", unit="cell size", above=0, maximum=1e6
     )
     connector_clearance: Length | None = option(
-        None,
-        help="a face pore takes the second nearest interior pore if its tunnel would run closer to another one",
-        unit="cell size",
-        above=0,
-        maximum=1e6,
-    )
+        None, help="a face pore takes the second nearest interior pore if its tunnel would run closer to another one",
+        unit="cell size", above=0, maximum=1e6,
+    )  # fmt: skip
 
     def check_options(self) -> None:
         options.check_degree(self.degree)
@@ -80,14 +77,10 @@ class BoundedDegreeSubgraph(Connector):
         if piece.region == "face" or piece.graded:
             minimum, maximum, _ = clamped_degrees(len(piece.points), minimum, maximum)
         return spanning_subgraph(
-            piece.points,
-            (minimum, maximum),
-            mode=self.mode_for(len(piece.points)),
-            periodic=piece.periodic,
-            k=self.neighbors,
-            two_edge_connected=self.two_edge_connected,
+            piece.points, (minimum, maximum), mode=self.mode_for(len(piece.points)), periodic=piece.periodic,
+            k=self.neighbors, two_edge_connected=self.two_edge_connected,
             clearance=None if self.clearance is None else piece.cell.fraction(self.clearance),
-        )
+        )  # fmt: skip
 
     def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         from sppm_pipeline.method.connecting import regional
@@ -97,15 +90,10 @@ class BoundedDegreeSubgraph(Connector):
         n = len(cloud.points)
         if n <= regional.WHOLE:
             return spanning_subgraph(
-                cloud.points,
-                self.degree,
-                mode=self.mode_for(n),
-                periodic=cloud.period.tolist(),
-                k=self.neighbors,
+                cloud.points, self.degree, mode=self.mode_for(n), periodic=cloud.period.tolist(), k=self.neighbors,
                 two_edge_connected=self.two_edge_connected,
-                clearance=None if self.clearance is None else cloud.cell.fraction(self.clearance),
-                metric=cloud.metric,
-            )
+                clearance=None if self.clearance is None else cloud.cell.fraction(self.clearance), metric=cloud.metric,
+            )  # fmt: skip
         for option_name, given in (("two_edge_connected", self.two_edge_connected), ("clearance", self.clearance)):
             if given:
                 raise DesignError(
@@ -114,16 +102,10 @@ class BoundedDegreeSubgraph(Connector):
                 )
         feasible_degrees(n, *self.degree)
         return regional.regional_subgraph(
-            cloud.points,
-            cloud.period,
-            self.degree,
-            spacing=cloud.spacing,
-            mode=self.mode_for(1),
-            k=self.neighbors,
-            metric=cloud.metric,
-            threads=context.threads,
+            cloud.points, cloud.period, self.degree, spacing=cloud.spacing, mode=self.mode_for(1), k=self.neighbors,
+            metric=cloud.metric, threads=context.threads,
             progress=lambda done, total: context.progress(done, total, "passes over the regions"),
-        )
+        )  # fmt: skip
 
     def join_pieces(self, context: Context, pores: PoreSet) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         from sppm_pipeline.method.connecting.pieces import greedy_pieces, piece_degrees

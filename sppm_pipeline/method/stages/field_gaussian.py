@@ -50,12 +50,9 @@ class GaussianField(Stage):
     tunnel_radius: Length | None = options.tunnel_radius(None)
     omega: float | None = option(None, help="pore size parameter", unit="1 / cell size^2", minimum=1e-9, maximum=1e15)
     mu: float | None = option(
-        None,
-        help="tunnel size parameter",
-        unit="1 / cell size (linear) or 1 / cell size^2 (squared)",
-        minimum=1e-9,
+        None, help="tunnel size parameter", unit="1 / cell size (linear) or 1 / cell size^2 (squared)", minimum=1e-9,
         maximum=1e15,
-    )
+    )  # fmt: skip
     level: float = options.level(0.25)
     tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=tuple(TUNNEL_PROFILES))
     pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)

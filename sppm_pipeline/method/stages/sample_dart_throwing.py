@@ -119,16 +119,9 @@ class DartThrowing(Sampler):
 
         count, spacing, share = self._packing(box)
         return throw(
-            rng,
-            count,
-            spacing,
-            box.lower,
-            box.upper,
-            periodic=(box.periodic,) * 3,
-            obstacles=box.obstacles if self.clear_faces else None,
-            obstacle_images=box.periodic,
-            share=share,
-        )
+            rng, count, spacing, box.lower, box.upper, periodic=(box.periodic,) * 3,
+            obstacles=box.obstacles if self.clear_faces else None, obstacle_images=box.periodic, share=share,
+        )  # fmt: skip
 
     def _packing(self, box: InteriorBox) -> tuple[int | None, float, float | None]:
         """Number of pores of an interior, their spacing in cell sizes, and the share of the packing limit."""

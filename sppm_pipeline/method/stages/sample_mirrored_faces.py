@@ -54,19 +54,12 @@ class MirroredFaces(Stage):
     margin: Length | None = option(
         None,
         help="distance of face pores from the border of the face, with `faces_margin: paper`; with several colors at "
-        "least half the spacing",
-        unit="cell size",
-        minimum=0,
-        maximum=1e6,
-    )
+        "least half the spacing", unit="cell size", minimum=0, maximum=1e6,
+    )  # fmt: skip
     edge: Length | None = options.edge(
-        None,
-        note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
-        unit=None,
-        above=None,
-        minimum=1e-6,
-        maximum=1e6,
-    )
+        None, note="a number without a unit only says in what unit of length `omega` and `mu` are given, 1 if omitted",
+        unit=None, above=None, minimum=1e-6, maximum=1e6,
+    )  # fmt: skip
 
     def check_options(self) -> None:
         if self.count is not None and self.total is not None:
@@ -128,15 +121,9 @@ class MirroredFaces(Stage):
             total, spacing = self._homogeneous(None if self.spacing is None else cell.fraction(self.spacing), met)
             totals = context.palette.face_totals
             patterns = homogeneous_faces(
-                context.rng(),
-                total,
-                spacing,
-                colors,
-                face_count=self.count,
-                met=met,
-                totals=totals,
+                context.rng(), total, spacing, colors, face_count=self.count, met=met, totals=totals,
                 threads=context.threads,
-            )
+            )  # fmt: skip
         flat = [pattern for per_axis in patterns for pattern in per_axis]
         piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
         return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
@@ -154,12 +141,9 @@ class MirroredFaces(Stage):
 
         colors = context.palette.colors
         count, spacing = split_between_faces_and_interior(
-            total=self.total,
-            face_count=self.count,
-            spacing=None if self.spacing is None else cell.fraction(self.spacing),
-            share=self.share,
-            colors=max(colors),
-        )
+            total=self.total, face_count=self.count,
+            spacing=None if self.spacing is None else cell.fraction(self.spacing), share=self.share, colors=max(colors),
+        )  # fmt: skip
         margin = None if self.margin is None else cell.fraction(self.margin)
         if margin is not None and not (spacing / 2 if max(colors) > 1 else 0) <= margin < 0.5:
             raise ConfigError(

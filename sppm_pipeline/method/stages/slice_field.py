@@ -75,12 +75,9 @@ class SliceField(Stage):
             context.warn(gap)
         stack = FieldSlices(
             source=field.exactly() if self.exact else field,
-            grid=Grid(((i + 0.5) * hx, (j + 0.5) * hy, (k + 0.5) * hz), (hx, hy, hz), shape),
-            pitch=pitch,
+            grid=Grid(((i + 0.5) * hx, (j + 0.5) * hy, (k + 0.5) * hz), (hx, hy, hz), shape), pitch=pitch,
             lower=(ox + i * hx * edge, oy + j * hy * edge, oz + k * hz * edge),
-            islands=field.islands if isinstance(field, Part) else self.islands,
-            subsamples=self.gray,
-            sublayers=self.gray_layers,
-            machine=printer,
-        )
+            islands=field.islands if isinstance(field, Part) else self.islands, subsamples=self.gray,
+            sublayers=self.gray_layers, machine=printer,
+        )  # fmt: skip
         return stack.require_room(self.cards)

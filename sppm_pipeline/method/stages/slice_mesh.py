@@ -72,14 +72,7 @@ class SliceMesh(Stage):
         ox, oy, oz = anchor.tolist()
         x, y, z = lower = (ox + i * hx, oy + j * hy, oz + k * hz)
         stack = MeshSlices(
-            source=mesh,
-            grid=Grid((x + hx / 2, y + hy / 2, z + hz / 2), pitch, shape),
-            pitch=pitch,
-            lower=lower,
-            islands=self.islands,
-            subsamples=self.gray,
-            sublayers=self.gray_layers,
-            method=method,
-            machine=printer,
-        )
+            source=mesh, grid=Grid((x + hx / 2, y + hy / 2, z + hz / 2), pitch, shape), pitch=pitch, lower=lower,
+            islands=self.islands, subsamples=self.gray, sublayers=self.gray_layers, method=method, machine=printer,
+        )  # fmt: skip
         return stack.require_room(self.cards)

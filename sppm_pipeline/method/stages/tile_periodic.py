@@ -51,12 +51,9 @@ class PeriodicTiling(Stage):
         return made if self.porosity is None else measured_tiling(made, self.resolution)
 
     def run(
-        self,
-        context: Context,
-        source: TileSet | ScalarField,
-        cover: SurfaceMesh | None,
+        self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None,
         design: CellSizes | None = None,
-    ) -> Tiling | RepeatedField:
+    ) -> Tiling | RepeatedField:  # fmt: skip
         """Lay the cells."""
         self = designed(self, design)
         if isinstance(source, TileSet):

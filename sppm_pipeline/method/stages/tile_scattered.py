@@ -88,13 +88,9 @@ class ScatteredTiling(Stage):
         check_repeats(self.periodic, self.cells)
 
     def run(
-        self,
-        context: Context,
-        recipe: Recipe,
-        cover: SurfaceMesh | None,
-        grading: Maps | None = None,
+        self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Maps | None = None,
         design: CellSizes | None = None,
-    ) -> Tiling:
+    ) -> Tiling:  # fmt: skip
         """Throw and join the pores of all blocks of the part, and of those around it."""
         self = designed(self, design)
         from sppm_pipeline.method.tiling.lattice import with_halo

@@ -99,12 +99,9 @@ def environment(*folders: Path) -> jinja2.Environment:
     import jinja2
 
     return jinja2.Environment(
-        loader=jinja2.FileSystemLoader([*folders, ASSETS]),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+        loader=jinja2.FileSystemLoader([*folders, ASSETS]), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
 
 
 def live_page(view: bytes) -> str:
@@ -114,10 +111,7 @@ def live_page(view: bytes) -> str:
         environment()
         .get_template("page.html")
         .render(
-            view=head_of(view),
-            data=base64.b64encode(view).decode(),
-            script=script,
-            style=(ASSETS / "live.css").read_text(encoding="utf-8"),
-            policy=policy(script),
+            view=head_of(view), data=base64.b64encode(view).decode(), script=script,
+            style=(ASSETS / "live.css").read_text(encoding="utf-8"), policy=policy(script),
         )
-    )
+    )  # fmt: skip

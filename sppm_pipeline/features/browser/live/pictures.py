@@ -67,16 +67,9 @@ class Scene:
         return framed(camera, self.solid.vertices[np.unique(self.solid.faces)], size)
 
     def picture(
-        self,
-        size: tuple[int, int],
-        camera: Camera,
-        *,
-        section: float | None = None,
-        section_along: str = "y",
-        annotate: bool = False,
-        background: Background = "light",
-        threads: int = 1,
-    ) -> U8:
+        self, size: tuple[int, int], camera: Camera, *, section: float | None = None, section_along: str = "y",
+        annotate: bool = False, background: Background = "light", threads: int = 1,
+    ) -> U8:  # fmt: skip
         """A view (height, width, 3), or with a transparent background (height, width, 4) uint8, of `size` (width,
         height).
 
@@ -196,17 +189,9 @@ def _remove_islands(fields: tuple[F32, ...], held: U8) -> float:
 
 
 def mesh_picture(
-    vertices: F64,
-    faces: NDArray[np.integer],
-    size: tuple[int, int],
-    camera: Camera,
-    *,
-    colors: U8 | None = None,
-    unit_mm: float | None = 1.0,
-    annotate: bool = False,
-    background: Background = "light",
-    threads: int = 1,
-) -> U8:
+    vertices: F64, faces: NDArray[np.integer], size: tuple[int, int], camera: Camera, *, colors: U8 | None = None,
+    unit_mm: float | None = 1.0, annotate: bool = False, background: Background = "light", threads: int = 1,
+) -> U8:  # fmt: skip
     """Triangles, seen from both sides; (height, width, 3), or 4 with a transparent background."""
     from sppm_pipeline.services.pictures.camera import framed
     from sppm_pipeline.services.pictures.mesh_view import render_mesh
@@ -222,16 +207,9 @@ def mesh_picture(
 
 
 def voxel_picture(
-    image: Voxels,
-    size: tuple[int, int],
-    camera: Camera,
-    *,
-    section: float | None = None,
-    section_along: str = "y",
-    annotate: bool = False,
-    background: Background = "light",
-    threads: int = 1,
-) -> U8:
+    image: Voxels, size: tuple[int, int], camera: Camera, *, section: float | None = None, section_along: str = "y",
+    annotate: bool = False, background: Background = "light", threads: int = 1,
+) -> U8:  # fmt: skip
     """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles."""
     phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
     # only every second or third voxel of larger images is looked at; no pixel would show the rest
@@ -271,14 +249,9 @@ def phase_surface(phases: U8, spacing: tuple[float, float, float]) -> tuple[F64,
 
 
 def tile_sheet(
-    tileset: TileSet,
-    resolution: int,
-    camera: Camera,
-    *,
-    background: Background = "light",
-    threads: int = 1,
+    tileset: TileSet, resolution: int, camera: Camera, *, background: Background = "light", threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> U8:
+) -> U8:  # fmt: skip
     """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities.
 
     The cut faces of Wang tiles of up to three colors are red, blue or green.

@@ -110,13 +110,9 @@ class LocalHandler(BaseHTTPRequestHandler):
         self.send_response(status)
         for name, value in (
             ("Content-Type", kind if kind.startswith("application") else f"{kind}; charset=utf-8"),
-            ("Content-Length", str(len(body))),
-            ("Cache-Control", "no-store"),
-            ("Referrer-Policy", "no-referrer"),
-            ("X-Content-Type-Options", "nosniff"),
-            ("X-Frame-Options", "DENY"),
-            *headers,
-        ):
+            ("Content-Length", str(len(body))), ("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer"),
+            ("X-Content-Type-Options", "nosniff"), ("X-Frame-Options", "DENY"), *headers,
+        ):  # fmt: skip
             self.send_header(name, value)
         if status >= 400 and self.command == "POST":
             self.close_connection = True  # what was not read of the request must not be taken for the next one

@@ -114,17 +114,10 @@ def _edges(seen: Seen) -> I64:
 
 
 def render_solid(
-    solid: Solid,
-    frame: Frame,
-    size: tuple[int, int],
-    *,
-    section: tuple[Sequence[float], float] | None = None,
-    colors: Colors = COLORS,
-    occlusion: float = 1.0,
-    background: Background = "light",
-    antialias: bool = True,
+    solid: Solid, frame: Frame, size: tuple[int, int], *, section: tuple[Sequence[float], float] | None = None,
+    colors: Colors = COLORS, occlusion: float = 1.0, background: Background = "light", antialias: bool = True,
     threads: int = 1,
-) -> U8:
+) -> U8:  # fmt: skip
     """Picture (height, width, 3) uint8 (sRGB) of a solid, with the opacity as a fourth channel if the background is
     transparent.
 

@@ -39,13 +39,9 @@ def view_of(what: Artifact, *, samples: int = SAMPLES, threads: int = 1) -> byte
 
 
 def mesh_view(
-    vertices: NDArray[np.floating[Any]],
-    faces: NDArray[np.integer[Any]],
-    *,
-    title: str,
-    unit: str,
+    vertices: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], *, title: str, unit: str,
     most: int = TRIANGLES,
-) -> bytes:
+) -> bytes:  # fmt: skip
     """The view file of a mesh, vertices (n, 3) and at least one of faces (m, 3).
 
     `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of more than `most`

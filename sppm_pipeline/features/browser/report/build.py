@@ -146,15 +146,9 @@ LONGEST_TEXT = 200_000
 
 
 def report_html(
-    path: Path,
-    record: Mapping[str, Any],
-    *,
-    view: bytes | None = None,
-    note: str = "",
-    max_bytes: int = 5_000_000,
-    threads: int = 1,
-    plugins: Plugins | None = None,
-) -> str:
+    path: Path, record: Mapping[str, Any], *, view: bytes | None = None, note: str = "", max_bytes: int = 5_000_000,
+    threads: int = 1, plugins: Plugins | None = None,
+) -> str:  # fmt: skip
     """The report of a run, the same text for the same directory; `InputError` if the record is not as this program
     writes them.
 
@@ -211,34 +205,23 @@ def _context(
     if sweep is not None and sweep["packed"]:
         data["rows"] = sweep["packed"]
     return {
-        "name": str(record["name"]),
-        "status": str(record["status"]),
-        "error": record.get("error"),
-        "facts": _facts(record),
-        "boxes": boxes(record, stages, view_head, kinds) if sweep is None else sweep["boxes"],
-        "warnings": _warnings(record, stages),
-        "view": view_head,
-        "still": still,
+        "name": str(record["name"]), "status": str(record["status"]), "error": record.get("error"),
+        "facts": _facts(record), "boxes": boxes(record, stages, view_head, kinds) if sweep is None else sweep["boxes"],
+        "warnings": _warnings(record, stages), "view": view_head, "still": still,
         "layers": None if layers is None else _layers(layers, view_head),
-        "layers_head": None if layers is None else json_block(layers.head()),
-        "charts": charts,
-        "sections": [_section(section) for section in sections_of(record, plugins)],
-        "pictures": pictures,
-        "wiring": wiring_svg(shown_stages),
-        "stages": shown_stages,
-        "sweep": sweep,
+        "layers_head": None if layers is None else json_block(layers.head()), "charts": charts,
+        "sections": [_section(section) for section in sections_of(record, plugins)], "pictures": pictures,
+        "wiring": wiring_svg(shown_stages), "stages": shown_stages, "sweep": sweep,
         "provenance": {
-            "yaml": _yaml(record.get("config"))[:LONGEST_TEXT],
-            "files": files,
+            "yaml": _yaml(record.get("config"))[:LONGEST_TEXT], "files": files,
             "findings": [replace(one, detail=without_folders(one.detail)) for one in found],
-            "differences": differences(path),
-            "platform": _pairs(record.get("platform", {})),
+            "differences": differences(path), "platform": _pairs(record.get("platform", {})),
             "versions": _pairs(record.get("versions", {})),
             "plugins": [shown(plugin) for plugin in record.get("plugins", ())],
             "seal": str(record.get("sha256", "none")),
         },
         "data": data,
-    }
+    }  # fmt: skip
 
 
 def _rendered(context: Mapping[str, Any]) -> str:
@@ -288,18 +271,11 @@ def _stages(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> l
         state = "failed" if stage.get("rejected") else "kept" if stage.get("cached") else "done"
         shown_stages.append(
             {
-                "id": str(stage["id"]),
-                "stage": str(stage["stage"]),
-                "state": state,
-                "made": stage.get("made") or "",
-                "seconds": duration(stage["seconds"]),
-                "memory": stage.get("peak_memory_mb"),
-                "bar": round(100 * float(stage["seconds"]) / longest, 1),
-                "summary": _pairs(stage["summary"]),
-                "options": _pairs(stage.get("options", {})),
-                "inputs": dict(stage.get("inputs", {})),
-                "recipes": dict(stage.get("recipes", {})),
-                "outputs": list(stage.get("outputs", ())),
+                "id": str(stage["id"]), "stage": str(stage["stage"]), "state": state, "made": stage.get("made") or "",
+                "seconds": duration(stage["seconds"]), "memory": stage.get("peak_memory_mb"),
+                "bar": round(100 * float(stage["seconds"]) / longest, 1), "summary": _pairs(stage["summary"]),
+                "options": _pairs(stage.get("options", {})), "inputs": dict(stage.get("inputs", {})),
+                "recipes": dict(stage.get("recipes", {})), "outputs": list(stage.get("outputs", ())),
                 "inner": [
                     {"id": str(one["id"]), "runs": one.get("runs", 1), "seconds": duration(one.get("seconds")),
                      "summary": _pairs(one.get("summary", {}))}

@@ -33,16 +33,9 @@ REMAKE = "`sppm report --remake` runs again what it needs, or add `- {stage: wri
 
 
 def live_view(
-    path: Path,
-    record: Mapping[str, Any],
-    outputs: Sequence[Mapping[str, Any]],
-    request: RunRequest,
-    *,
-    store: Store | None,
-    threads: int,
-    remake: bool = False,
-    samples: int = SAMPLES,
-) -> tuple[bytes | None, str]:
+    path: Path, record: Mapping[str, Any], outputs: Sequence[Mapping[str, Any]], request: RunRequest, *,
+    store: Store | None, threads: int, remake: bool = False, samples: int = SAMPLES,
+) -> tuple[bytes | None, str]:  # fmt: skip
     """The view file of a run, or None and why there is none.
 
     `outputs` are those of the run that lie in its directory, `request` says which plugins may be loaded, `store` is
@@ -162,15 +155,9 @@ def after_run(path: Path, args: Namespace) -> None:
 
 
 def of_run(
-    path: Path,
-    target: Path,
-    args: Namespace,
-    *,
-    most: int = 5_000_000,
-    view: bool = True,
-    remake: bool = False,
+    path: Path, target: Path, args: Namespace, *, most: int = 5_000_000, view: bool = True, remake: bool = False,
     plugins: bool = True,
-) -> None:
+) -> None:  # fmt: skip
     """Write the report of a run directory to `target`, of at most `most` bytes.
 
     `view` and `remake` say whether there is a live view, and whether stages are run again for it. What shows results

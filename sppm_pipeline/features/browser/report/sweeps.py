@@ -44,19 +44,15 @@ def sweep_context(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
             Box("runs", f"{done} of {len(runs)} done", "", done < len(runs)),
             Box("time", duration(record.get("seconds")), f"{record.get('threads', '?')} threads"),
         ],
-        "names": names,
-        "rows": [[_cell(value) for value in row] for row in rows[:STATIC_ROWS]],
-        "links": [link for link in reports if (path / link).is_file()],
-        "count": len(table),
-        "packed": _packed(rows),
+        "names": names, "rows": [[_cell(value) for value in row] for row in rows[:STATIC_ROWS]],
+        "links": [link for link in reports if (path / link).is_file()], "count": len(table), "packed": _packed(rows),
         "head": json_block({"names": names, "rows": len(rows)}),
         "failed": [
             {"run": run["run"], "params": shown(run["params"]), "message": str(run["error"].get("message", ""))}
             for run in failed[:STATIC_ROWS]
         ],
-        "charts": _charts(names, rows, params),
-        "multiples": _multiples(path, runs),
-    }
+        "charts": _charts(names, rows, params), "multiples": _multiples(path, runs),
+    }  # fmt: skip
 
 
 def _table(path: Path) -> list[dict[str, Any]]:

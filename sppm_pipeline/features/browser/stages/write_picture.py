@@ -232,13 +232,9 @@ class WritePicture(Stage):
         camera, threads = Camera(azimuth=self.azimuth, elevation=self.elevation), context.threads
         if isinstance(what, TileSet):
             picture = tile_sheet(
-                what,
-                self.resolution,
-                camera,
-                background=self.background,
-                threads=threads,
+                what, self.resolution, camera, background=self.background, threads=threads,
                 progress=lambda done, of: context.progress(done, of, "tiles drawn"),
-            )
+            )  # fmt: skip
         elif isinstance(what, (TunnelGraph, PoreSet)):
             if self.section is not None:
                 raise ConfigError("`section` cuts solids, not pores and tunnels", hint="leave it out")

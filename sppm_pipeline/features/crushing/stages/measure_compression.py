@@ -58,21 +58,15 @@ class MeasureCompression(Stage):
         """Measure."""
         found = measured(curve, self.plateau, self.energy_to)
         context.report(
-            **{one.name: one.value for one in found},
-            unit=curve.unit,
-            name=curve.name,
-            origin=curve.origin,
+            **{one.name: one.value for one in found}, unit=curve.unit, name=curve.name, origin=curve.origin,
             without={one.name: one.remark for one in found if one.value is None},
-        )
+        )  # fmt: skip
         if self.published is not None:
             context.report(published=self._judged(context, curve))
         return Table({
-            "measure": tuple(one.label for one in found),
-            "value": tuple(one.value for one in found),
-            "unit": tuple(one.unit for one in found),
-            "definition": tuple(one.definition for one in found),
-            "source": tuple(one.source for one in found),
-            "remark": tuple(one.remark for one in found),
+            "measure": tuple(one.label for one in found), "value": tuple(one.value for one in found),
+            "unit": tuple(one.unit for one in found), "definition": tuple(one.definition for one in found),
+            "source": tuple(one.source for one in found), "remark": tuple(one.remark for one in found),
         })  # fmt: skip
 
     def _judged(self, context: Context, curve: CompressionCurve) -> dict[str, float]:

@@ -66,14 +66,11 @@ def compression_chart(lines: Sequence[Line], path: str, *, title: str, unit: str
             axes.set_ylim(bottom=0)
         entries = [
             Line2D(
-                [],
-                [],
-                color=COLORS[n % len(COLORS)],
-                linestyle="--" if line.dashed else "-",
+                [], [], color=COLORS[n % len(COLORS)], linestyle="--" if line.dashed else "-",
                 label=plain_text(line.label),
             )
             for n, line in enumerate(lines)
-        ]
+        ]  # fmt: skip
         signs = [
             Line2D([], [], color="#555555", marker=sign, linestyle="none", label=name)
             for name, sign in MARKS.items()

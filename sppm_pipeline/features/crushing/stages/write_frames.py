@@ -41,18 +41,10 @@ def exposed_triangles(
 
 
 def frame_pictures(
-    voxels: NDArray[np.int32],
-    grid: tuple[int, int, int],
-    elements: NDArray[np.int32],
-    frames: NDArray[np.float32],
-    colors: Iterator[NDArray[np.uint8]],
-    *,
-    released: NDArray[np.bool_] | None = None,
-    axis: str,
-    camera: Camera,
-    size: tuple[int, int],
-    section: float | None,
-) -> Iterator[NDArray[np.uint8]]:
+    voxels: NDArray[np.int32], grid: tuple[int, int, int], elements: NDArray[np.int32], frames: NDArray[np.float32],
+    colors: Iterator[NDArray[np.uint8]], *, released: NDArray[np.bool_] | None = None, axis: str, camera: Camera,
+    size: tuple[int, int], section: float | None,
+) -> Iterator[NDArray[np.uint8]]:  # fmt: skip
     """A picture (height, width, 3) of each frame, all at one scale, the axis of compression upright.
 
     `frames` (f, p, 3) are positions of the nodes, `colors` those of the voxels (m, 3), frame by frame; `released`

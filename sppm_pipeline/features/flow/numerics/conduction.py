@@ -62,15 +62,9 @@ class Conducted(NamedTuple):
 
 
 def conductivity(
-    k: NDArray[Any],
-    edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    *,
-    residual: float = 0.0,
-    tolerance: float = 1e-4,
-    iterations: int = 1000,
-    precision: Any = np.float32,
-    threads: int = 1,
-) -> Conducted:
+    k: NDArray[Any], edges: tuple[float, float, float] = (1.0, 1.0, 1.0), *, residual: float = 0.0,
+    tolerance: float = 1e-4, iterations: int = 1000, precision: Any = np.float32, threads: int = 1,
+) -> Conducted:  # fmt: skip
     """Effective conductivity of a periodic cell of isotropic voxels, trilinear bricks with full integration.
 
     `k` (nz, ny, nx) are the conductivities of the voxels, 0 for insulators, and `edges` those of a voxel (hx, hy, hz)

@@ -116,12 +116,9 @@ def _surface(level: NDArray[np.float32], d: int, edges: tuple[float, float, floa
 
 
 def _faces(
-    levels: list[NDArray[np.float32]],
-    theta: Callable[..., NDArray[Any]],
-    edges: tuple[float, float, float],
-    porosity: float,
-    surface: float | None,
-) -> Faces:
+    levels: list[NDArray[np.float32]], theta: Callable[..., NDArray[Any]], edges: tuple[float, float, float],
+    porosity: float, surface: float | None,
+) -> Faces:  # fmt: skip
     """Neighbors, walls and weights of the faces of each family.
 
     Of a face beside a wall, whose unit normal is n and which cuts the way to a neighbor along axis a at ``theta h``,

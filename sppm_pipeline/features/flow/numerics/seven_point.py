@@ -142,12 +142,9 @@ def hierarchy_of(walls: NDArray[np.float32], weights: tuple[NDArray[np.float32],
         weights = tuple(coarse)
         levels.append(SevenPointLevel(np.ascontiguousarray(walls), weights))
     return Hierarchy.of(
-        list(levels),
-        SCRATCH_ROWS,
-        _MAX_EIGENVALUE,
-        transfers=[CellTransfer(fine, coarse) for fine, coarse in pairwise(levels)],
-        damping=_DAMPING,
-    )
+        list(levels), SCRATCH_ROWS, _MAX_EIGENVALUE,
+        transfers=[CellTransfer(fine, coarse) for fine, coarse in pairwise(levels)], damping=_DAMPING,
+    )  # fmt: skip
 
 
 class CellTransfer(NamedTuple):

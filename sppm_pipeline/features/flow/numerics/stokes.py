@@ -71,16 +71,9 @@ class Flow(NamedTuple):
 
 
 def stokes_flow(
-    faces: Faces,
-    porosity: float,
-    axes: tuple[bool, bool, bool] = (True, True, True),
-    *,
-    residual: float = 0.0,
-    tolerance: float = 1e-3,
-    iterations: int = 500,
-    precision: Any = np.float32,
-    threads: int = 1,
-) -> Flow:
+    faces: Faces, porosity: float, axes: tuple[bool, bool, bool] = (True, True, True), *, residual: float = 0.0,
+    tolerance: float = 1e-3, iterations: int = 500, precision: Any = np.float32, threads: int = 1,
+) -> Flow:  # fmt: skip
     """Solve for the flow along each axis of `axes`, those with a way through; nothing flows along others.
 
     `faces` are without pockets; `porosity` is the fraction of the cell that is open, for the tortuosities; the rest is
@@ -113,15 +106,9 @@ def stokes_flow(
 
 
 def _flow(
-    faces: Faces,
-    weights: NDArray[np.float32],
-    by_axis: dict[int, tuple[NDArray[Any], Solved]],
-    porosity: float,
-    thermal: float,
-    squares: float,
-    unit: float,
-    precision: str,
-) -> Flow:
+    faces: Faces, weights: NDArray[np.float32], by_axis: dict[int, tuple[NDArray[Any], Solved]], porosity: float,
+    thermal: float, squares: float, unit: float, precision: str,
+) -> Flow:  # fmt: skip
     shape = faces.active[0].shape
     k, pores = np.zeros((3, 3)), faces.voxels()
     viscous, hydraulic, slices, solved = [], [], [], []
@@ -199,13 +186,9 @@ class _Problem:
     """The matrix and its preconditioner."""
 
     def __init__(
-        self,
-        weights: NDArray[np.float32],
-        edges: tuple[float, ...],
-        velocity: list[Hierarchy],
-        torsion: list[NDArray[np.float32]],
-        shape: tuple[int, ...],
-    ) -> None:
+        self, weights: NDArray[np.float32], edges: tuple[float, ...], velocity: list[Hierarchy],
+        torsion: list[NDArray[np.float32]], shape: tuple[int, ...],
+    ) -> None:  # fmt: skip
         self.velocity = velocity
         conductances = tuple(
             psi.reshape(shape) * np.float32(_CONDUCTS / h**2) for psi, h in zip(torsion, edges, strict=True)

@@ -73,21 +73,12 @@ class HomogenizeAcoustics(FlowHomogenizer):
         # Lambda = 2 k / (dk / dxi), from k on both sides of the wall: the wall itself lies midway, so k is their mean
         length = (narrow + wide) * (2 * SHIFT / self.resolution) / (wide - narrow)
         return AcousticReport(
-            axis=self.axis,
-            porosity=flow.porosity,
-            permeability=flow.k[axis, axis] * (1e-3 * edge) ** 2,
-            thermal_permeability=flow.thermal * (1e-3 * edge) ** 2,
-            tortuosity=max(1.0, tortuosity),
-            viscous_tortuosity=viscous,
-            thermal_tortuosity=flow.thermal_tortuosity,
-            viscous_length=length * edge,
-            thermal_length=2 * flow.porosity / flow.surface * edge,
-            layer=self.depth.mm(),
-            temperature=self.temperature,
-            edge_mm=edge,
-            grid=flow.grid,
-            warnings=flow.warnings,
-        )
+            axis=self.axis, porosity=flow.porosity, permeability=flow.k[axis, axis] * (1e-3 * edge) ** 2,
+            thermal_permeability=flow.thermal * (1e-3 * edge) ** 2, tortuosity=max(1.0, tortuosity),
+            viscous_tortuosity=viscous, thermal_tortuosity=flow.thermal_tortuosity, viscous_length=length * edge,
+            thermal_length=2 * flow.porosity / flow.surface * edge, layer=self.depth.mm(), temperature=self.temperature,
+            edge_mm=edge, grid=flow.grid, warnings=flow.warnings,
+        )  # fmt: skip
 
     def _conduction(self, context: Context, source: ScalarField, shift: float, axis: int) -> tuple[float, float]:
         """Relative conductivity of the void along an axis and its porosity, walls moved by so many voxels."""

@@ -100,13 +100,10 @@ class HomogenizeConductivity(SidedHomogenizer):
         if len(counts) == 1:
             return self.conductivity_of(context, source)
         counts, reports, limit = refined(
-            context,
-            source,
-            counts,
+            context, source, counts,
             lambda context, count, given: replace(self, resolution=count).conductivity_of(context, given),
-            lambda report: report.k,
-            1.0 if self.fractions == "binary" else 2.0,
-        )
+            lambda report: report.k, 1.0 if self.fractions == "binary" else 2.0,
+        )  # fmt: skip
         coarse, fine = reports
         if isinstance(source, Voxels) or self.fractions == "binary":
             return replace(fine, error=limit.error)
@@ -147,22 +144,14 @@ class HomogenizeConductivity(SidedHomogenizer):
         for warning in warnings:
             context.warn(warning)
         return ConductivityReport(
-            k=found.conductivity,
-            of=self.of,
-            bulk=self._bulk(),
-            fluid=self.fluid,
-            porosity=cell.porosity,
-            tortuosity=tuple(tortuosity(found.conductivity, float(k.mean(dtype=np.float64)))),
-            grid=cell.shape,
-            fractions=cell.fraction is not None,
-            precision=found.precision,
+            k=found.conductivity, of=self.of, bulk=self._bulk(), fluid=self.fluid, porosity=cell.porosity,
+            tortuosity=tuple(tortuosity(found.conductivity, float(k.mean(dtype=np.float64)))), grid=cell.shape,
+            fractions=cell.fraction is not None, precision=found.precision,
             iterations=tuple(case.iterations for case in found.solved),
             residuals=tuple(float(case.residual) for case in found.solved),
             errors=tuple(min(float(case.error), 1.0) for case in found.solved),
-            converged=all(case.converged for case in found.solved),
-            wraps=connected.wraps,
-            warnings=tuple(warnings),
-        )
+            converged=all(case.converged for case in found.solved), wraps=connected.wraps, warnings=tuple(warnings),
+        )  # fmt: skip
 
     def _leaks(self, source: ScalarField | Voxels, cell: VoxelCell, k: NDArray[Any]) -> list[str]:
         """Warnings for flow through walls that are too thin for the voxels."""

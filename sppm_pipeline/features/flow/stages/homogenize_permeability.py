@@ -112,25 +112,18 @@ class FlowHomogenizer(Homogenizer):
         for warning in warnings:
             context.warn(warning)
         return PermeabilityReport(
-            k=found.permeability / edge**2,
-            edge_mm=self.edge_of(source),
-            porosity=porosity,
-            pocket_share=open_void.pocket_share,
-            thermal=found.thermal_permeability / edge**2,
+            k=found.permeability / edge**2, edge_mm=self.edge_of(source), porosity=porosity,
+            pocket_share=open_void.pocket_share, thermal=found.thermal_permeability / edge**2,
             viscous_tortuosity=_finite(found.viscous_tortuosity),
             thermal_tortuosity=_finite((found.thermal_tortuosity,))[0],
             hydraulic_tortuosity=_finite(found.hydraulic_tortuosity),
-            surface=None if faces.surface is None else faces.surface * edge,
-            slices=found.slices,
-            grid=faces.active[0].shape[::-1],
-            precision=found.precision,
+            surface=None if faces.surface is None else faces.surface * edge, slices=found.slices,
+            grid=faces.active[0].shape[::-1], precision=found.precision,
             iterations=tuple(case.iterations for case in found.solved),
             residuals=tuple(float(case.residual) for case in found.solved),
             errors=tuple(min(float(case.error), 1.0) for case in found.solved),
-            converged=all(case.converged for case in found.solved),
-            wraps=open_void.wraps,
-            warnings=tuple(warnings),
-        )
+            converged=all(case.converged for case in found.solved), wraps=open_void.wraps, warnings=tuple(warnings),
+        )  # fmt: skip
 
 
 def _narrow(void: Percolation) -> list[str]:
@@ -188,20 +181,14 @@ class HomogenizePermeability(SidedHomogenizer, FlowHomogenizer):
         if self.grids == 1:
             return self.flow_of(context, source)
         counts, reports, limit = refined(
-            context,
-            source,
-            grids_below(self.resolution, self.grids),
+            context, source, grids_below(self.resolution, self.grids),
             lambda context, count, given: replace(self, resolution=count).flow_of(context, given),
-            lambda report: report.k,
-            ORDER,
-        )
+            lambda report: report.k, ORDER,
+        )  # fmt: skip
         context.report(
             convergence={
-                "resolutions": counts,
-                "k11": [float(report.k[0, 0]) for report in reports],
-                "limit": np.asarray(limit.value).tolist(),
-                "order": limit.order,
-                "order_observed": limit.observed,
+                "resolutions": counts, "k11": [float(report.k[0, 0]) for report in reports],
+                "limit": np.asarray(limit.value).tolist(), "order": limit.order, "order_observed": limit.observed,
             }
-        )
+        )  # fmt: skip
         return replace(reports[-1], error=limit.error)

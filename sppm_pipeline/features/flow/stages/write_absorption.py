@@ -63,18 +63,14 @@ class WriteAbsorption(Stage):
 def _card(report: AcousticReport, bands: dict[int, float]) -> str:
     """Parameters and bands, one a line."""
     entries = {
-        "porosity": (report.porosity, "1"),
-        "static flow resistivity": (report.resistivity, "Pa s/m^2"),
-        "tortuosity": (report.tortuosity, "1"),
-        "viscous characteristic length": (1e3 * report.viscous_length, "um"),
+        "porosity": (report.porosity, "1"), "static flow resistivity": (report.resistivity, "Pa s/m^2"),
+        "tortuosity": (report.tortuosity, "1"), "viscous characteristic length": (1e3 * report.viscous_length, "um"),
         "thermal characteristic length": (1e3 * report.thermal_length, "um"),
         "static viscous permeability": (report.permeability, "m^2"),
         "static thermal permeability": (report.thermal_permeability, "m^2"),
         "static viscous tortuosity": (report.viscous_tortuosity, "1"),
-        "static thermal tortuosity": (report.thermal_tortuosity, "1"),
-        "layer": (report.layer, "mm"),
-        "temperature": (report.temperature, "degrees Celsius"),
-        "noise reduction coefficient": (report.nrc, "1"),
-    }
+        "static thermal tortuosity": (report.thermal_tortuosity, "1"), "layer": (report.layer, "mm"),
+        "temperature": (report.temperature, "degrees Celsius"), "noise reduction coefficient": (report.nrc, "1"),
+    }  # fmt: skip
     lines = [f"{name}: {value:.6g} {unit}" for name, (value, unit) in entries.items()]
     return "\n".join([*lines, *(f"absorption at {band} Hz: {value:.3f}" for band, value in bands.items())]) + "\n"

@@ -296,18 +296,12 @@ def _columns(network: CutNetwork, sizes: Measured, meters: float) -> dict[str, N
         for side, place in (("min", 0.0), ("max", 1.0))
     }
     return {
-        "pore.coords": network.coords * meters,
-        "pore.inscribed_diameter": 2 * sizes.pore_radius * meters,
-        "pore.volume": sizes.pore_volume * meters**3,
-        "pore.image_of": network.image_of,
-        **sides,
-        "throat.conns": network.conns,
-        "throat.tunnel": network.tunnel,
-        "throat.inscribed_diameter": 2 * sizes.throat_radius * meters,
-        "throat.length": outside * meters,
-        "throat.total_length": length * meters,
-        "throat.hydraulic_size_factors": sizes.size_factor * meters**3,
-    }
+        "pore.coords": network.coords * meters, "pore.inscribed_diameter": 2 * sizes.pore_radius * meters,
+        "pore.volume": sizes.pore_volume * meters**3, "pore.image_of": network.image_of, **sides,
+        "throat.conns": network.conns, "throat.tunnel": network.tunnel,
+        "throat.inscribed_diameter": 2 * sizes.throat_radius * meters, "throat.length": outside * meters,
+        "throat.total_length": length * meters, "throat.hydraulic_size_factors": sizes.size_factor * meters**3,
+    }  # fmt: skip
 
 
 def _table(columns: dict[str, NDArray[np.generic]]) -> str:

@@ -56,17 +56,10 @@ class Homogenized(NamedTuple):
 
 
 def stiffness(
-    lam: NDArray[Any],
-    mu: NDArray[Any],
-    edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    *,
-    residual: float = 0.0,
-    tolerance: float = 1e-4,
-    iterations: int = 500,
-    precision: Any = np.float32,
-    threads: int = 1,
+    lam: NDArray[Any], mu: NDArray[Any], edges: tuple[float, float, float] = (1.0, 1.0, 1.0), *, residual: float = 0.0,
+    tolerance: float = 1e-4, iterations: int = 500, precision: Any = np.float32, threads: int = 1,
     expansion: NDArray[Any] | None = None,
-) -> Homogenized:
+) -> Homogenized:  # fmt: skip
     """Effective stiffness of a periodic cell of isotropic voxels, trilinear bricks with full integration.
 
     The displacement is that of a constant mean strain plus a periodic one. With the energies of the exact solutions
@@ -128,12 +121,9 @@ class ElasticBody(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        lam: NDArray[Any],
-        mu: NDArray[Any],
-        edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        cls, lam: NDArray[Any], mu: NDArray[Any], edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
         precision: Any = np.float32,
-    ) -> ElasticBody:
+    ) -> ElasticBody:  # fmt: skip
         """Create from Lamé constants; parameters and errors as for `stiffness`."""
         dtype = np.dtype(precision)
         lam, mu = np.asarray(lam, dtype), np.asarray(mu, dtype)
@@ -153,15 +143,9 @@ class ElasticBody(NamedTuple):
         return cls(ElasticLevel(moduli, unit, dtype), mean, scale, dtype)
 
     def stiffness(
-        self,
-        *,
-        residual: float = 0.0,
-        tolerance: float = 1e-4,
-        iterations: int = 500,
-        threads: int = 1,
-        expansion: NDArray[Any] | None = None,
-        fields: bool = False,
-    ) -> Homogenized:
+        self, *, residual: float = 0.0, tolerance: float = 1e-4, iterations: int = 500, threads: int = 1,
+        expansion: NDArray[Any] | None = None, fields: bool = False,
+    ) -> Homogenized:  # fmt: skip
         """See the function `stiffness`; with `fields` displacements are returned, with an error that counts for them.
 
         The error of a stiffness is of second order in that of displacements, so that they need more iterations.

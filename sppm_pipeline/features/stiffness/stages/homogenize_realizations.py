@@ -87,17 +87,10 @@ def _numbers(summary: Mapping[str, Any]) -> dict[str, float | None]:
     """The columns of the table; None where a structure without stiffness has no such number."""
     young, fit = summary["E"], summary["isotropic"]
     values = {
-        "porosity": summary["porosity"],
-        "E_x": young[0],
-        "E_y": young[1],
-        "E_z": young[2],
-        "E_fit": fit["E"],
-        "nu_xy": summary["nu"]["xy"],
-        "nu_fit": fit["nu"],
-        "xi": summary["xi"],
-        "xi_relative": summary["xi_relative"],
+        "porosity": summary["porosity"], "E_x": young[0], "E_y": young[1], "E_z": young[2], "E_fit": fit["E"],
+        "nu_xy": summary["nu"]["xy"], "nu_fit": fit["nu"], "xi": summary["xi"], "xi_relative": summary["xi_relative"],
         "universal_anisotropy": summary["universal_anisotropy"],
-    }
+    }  # fmt: skip
     return {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
 
 

@@ -216,12 +216,9 @@ class ElasticHomogenizer(ElasticCell):
         return body.stiffness(expansion=expanding, **options)
 
     def _solved(
-        self,
-        context: Context,
-        cell: VoxelCell,
-        expansion: tuple[float, ...],
+        self, context: Context, cell: VoxelCell, expansion: tuple[float, ...],
         phases: tuple[tuple[float, float, float], ...],
-    ) -> StiffnessReport:
+    ) -> StiffnessReport:  # fmt: skip
         """The report of one grid, with what there is to warn of."""
         from sppm_pipeline.method.connectivity.components import phase_report
 

@@ -131,19 +131,10 @@ class TetHomogenized(NamedTuple):
 
 
 def homogenize_tetrahedra(
-    nodes: F64,
-    cells: I32,
-    box: F64,
-    young: F64,
-    poisson: F64,
-    representative: I64 | None,
-    *,
-    faces: str = "mortar",
-    face_tolerance: float = 1e-6,
-    tolerance: float = 1e-8,
-    iterations: int = 2000,
+    nodes: F64, cells: I32, box: F64, young: F64, poisson: F64, representative: I64 | None, *, faces: str = "mortar",
+    face_tolerance: float = 1e-6, tolerance: float = 1e-8, iterations: int = 2000,
     progress: Callable[[int], None] | None = None,
-) -> TetHomogenized:
+) -> TetHomogenized:  # fmt: skip
     """Homogenize linear elasticity on a mesh of a periodic cell: nodes (n, 3), cells (m, 4) or (m, 10), box (2, 3).
 
     `young` and `poisson`, (m,), are those of each cell. For meshes whose opposite faces match, `representative`, (n,),
@@ -268,14 +259,10 @@ class Projector:
 
 
 def conjugate_gradients(
-    matrix: Blocks,
-    right: Vectors,
-    precondition: Callable[[Vectors], Vectors],
-    project: Callable[[Vectors], Vectors] | None,
-    tolerance: float,
-    iterations: int,
+    matrix: Blocks, right: Vectors, precondition: Callable[[Vectors], Vectors],
+    project: Callable[[Vectors], Vectors] | None, tolerance: float, iterations: int,
     progress: Callable[[int], None] | None = None,
-) -> Solution:
+) -> Solution:  # fmt: skip
     """Solve ``matrix x = right`` for a positive semidefinite matrix and six right-hand sides (n, 6) in its range.
 
     Each has conjugate directions of its own, all take their steps together, and one that is done stands still.

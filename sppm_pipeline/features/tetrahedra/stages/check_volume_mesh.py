@@ -32,13 +32,9 @@ class CheckVolumeMesh(Stage):
     )  # fmt: skip
 
     minimum_angle: float = option(
-        5.0,
-        help="smallest dihedral angle that is accepted",
-        unit="degrees",
-        minimum=0,
-        below=70,
+        5.0, help="smallest dihedral angle that is accepted", unit="degrees", minimum=0, below=70,
         formerly="least_angle",
-    )
+    )  # fmt: skip
     one_piece: bool = option(False, help="reject a mesh with several components, which share no face")
     accept: str = options.accept(
         "sound", note="sound: reject a mesh with faults; any: only report them", choices=("sound", "any")
