@@ -41,12 +41,9 @@ from sppm_pipeline.engine.process.interruption import requested as _stop_request
 from sppm_pipeline.errors import ConfigError as ConfigError
 from sppm_pipeline.errors import DesignError as DesignError
 from sppm_pipeline.errors import InputError as InputError
-from sppm_pipeline.errors import PluginError as PluginError
-from sppm_pipeline.errors import ResourceError as ResourceError
 from sppm_pipeline.errors import SppmError as SppmError
 from sppm_pipeline.features.design.atlas import find as find
 from sppm_pipeline.features.grading.grader import Grader as Grader
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh as VolumeMesh
 from sppm_pipeline.hookspecs import hookimpl as hookimpl
 from sppm_pipeline.method.families import options as options
 from sppm_pipeline.method.families.connector import Connector as Connector
@@ -54,7 +51,6 @@ from sppm_pipeline.method.families.field_maker import FieldMaker as FieldMaker
 from sppm_pipeline.method.families.field_maker import PartFieldMaker as PartFieldMaker
 from sppm_pipeline.method.families.file_writer import MeshWriter as MeshWriter
 from sppm_pipeline.method.families.homogenizer import Homogenizer as Homogenizer
-from sppm_pipeline.method.families.homogenizer import SidedHomogenizer as SidedHomogenizer
 from sppm_pipeline.method.families.layer_writer import LayerWriter as LayerWriter
 from sppm_pipeline.method.families.sampler import Sampler as Sampler
 from sppm_pipeline.method.families.tiler import Tiler as Tiler

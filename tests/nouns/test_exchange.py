@@ -31,7 +31,7 @@ def test_meshes(wedge):
     assert ours.summary()["volume_mm3"] == pytest.approx(6)
     with pytest.raises(ValueError, match="does not exist"):
         sppm.SurfaceMesh.from_arrays(wedge.vertices, wedge.faces + 1)
-    tet = sppm.VolumeMesh.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
+    tet = sppm.nouns.VolumeMesh.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
     assert tet.volume == pytest.approx(1 / 6)
 
 
@@ -87,7 +87,7 @@ def test_layers_and_tables():
 
 def test_a_library_that_is_not_there_is_named(wedge, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyvista", None)
-    with pytest.raises(sppm.ResourceError, match="pip install pyvista"):
+    with pytest.raises(sppm.errors.ResourceError, match="pip install pyvista"):
         wedge.to_pyvista()
 
 
@@ -137,5 +137,6 @@ def test_what_is_not_installed_is_said(cell, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     table = sppm.Table.from_arrays({"a": [1, 2]})
     for call, name in ((table.to_pandas, "pandas"), (table.to_xarray, "xarray"), (cell.to_pyvista, "pyvista")):
-        with pytest.raises(sppm.ResourceError, match=f"needs {name}, which is not installed(.|\n)*pip install {name}"):
+        words = f"needs {name}, which is not installed(.|\n)*pip install {name}"
+        with pytest.raises(sppm.errors.ResourceError, match=words):
             call()

@@ -20,8 +20,8 @@ import dask
 from distributed import Client, LocalCluster
 from distributed.scheduler import KilledWorker
 
-from sppm_pipeline import ConfigError, ResourceError, stop_requested
-from sppm_pipeline.errors import NativeCrash
+from sppm_pipeline import ConfigError, stop_requested
+from sppm_pipeline.errors import NativeCrash, ResourceError
 
 QUEUES = {
     "slurm": "SLURMCluster",

@@ -5,19 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    InputError,
-    Length,
-    ResourceError,
-    SppmError,
-    Stage,
-    SurfaceMesh,
-    option,
-    options,
-)
-from sppm_pipeline.errors import NativeCrash
+from sppm_pipeline import ConfigError, Context, InputError, Length, SppmError, Stage, SurfaceMesh, option, options
+from sppm_pipeline.errors import NativeCrash, ResourceError
 
 if TYPE_CHECKING:
     from sppm_pymeshlab.inside_test import InsideTest

@@ -50,7 +50,7 @@ EQUAL = 0.03
 MEASURED = ("tune.porosity", "homogenize.voxel", "homogenize.conductivity", "homogenize.permeability", "check.sizes")
 
 
-class Found(NamedTuple):
+class FoundDesign(NamedTuple):
     """A design that a query has found.
 
     Attributes
@@ -201,7 +201,9 @@ def _conditions(query: str, names: Sequence[str], cell: bool) -> tuple[list[_Con
     return found, porosity
 
 
-def find(query: str, *, cell: str | None = None, count: int = 5, minimize: str = "", maximize: str = "") -> list[Found]:
+def find(
+    query: str, *, cell: str | None = None, count: int = 5, minimize: str = "", maximize: str = ""
+) -> list[FoundDesign]:
     """Designs that meet conditions, by the atlas: nothing is computed but interpolation.
 
     Parameters
@@ -234,7 +236,7 @@ def find(query: str, *, cell: str | None = None, count: int = 5, minimize: str =
 
 def searched(
     query: str, *, cell: str | None, count: int, minimize: str = "", maximize: str = ""
-) -> tuple[list[Found], Mapping[str, F64]]:
+) -> tuple[list[FoundDesign], Mapping[str, F64]]:
     """The designs of `find`, and the properties of all candidates that meet the conditions."""
     from sppm_pipeline.services.expression import Expression
 
@@ -299,5 +301,5 @@ def searched(
             name: float(f"{a + share * (b - a):.4g}")
             for share, (name, (a, b)) in zip(point, FAMILIES[family].ranges.items(), strict=True)
         }
-        found.append(Found(family, parameters, total, values, cell or ""))
+        found.append(FoundDesign(family, parameters, total, values, cell or ""))
     return found, {name: column[good] for name, column in columns.items()}

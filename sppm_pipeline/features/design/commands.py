@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.design.atlas import Found
+    from sppm_pipeline.features.design.atlas import FoundDesign
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -50,7 +50,7 @@ def execute(args: Namespace) -> int:
     return 0
 
 
-def _write(folder: Path, query: str, found: list[Found], candidates: Mapping[str, Any]) -> None:
+def _write(folder: Path, query: str, found: list[FoundDesign], candidates: Mapping[str, Any]) -> None:
     from sppm_pipeline.errors import InputError
 
     if folder.exists() and any(folder.iterdir()):
@@ -62,7 +62,7 @@ def _write(folder: Path, query: str, found: list[Found], candidates: Mapping[str
     print(f"wrote {len(found)} configurations and pareto.png to {folder}")
 
 
-def _draw(path: Path, query: str, found: list[Found], candidates: Mapping[str, Any]) -> None:
+def _draw(path: Path, query: str, found: list[FoundDesign], candidates: Mapping[str, Any]) -> None:
     """All candidates that meet the conditions, those that none beats in both properties, and the designs found."""
     import numpy as np
     from matplotlib.figure import Figure

@@ -103,7 +103,12 @@ class LoadCase(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LoadCases(Artifact):
-    """Load cases of a part, in the coordinates of its mesh."""
+    """Load cases of a part, in the coordinates of its mesh.
+
+    Attributes
+    ----------
+    cases : tuple of LoadCase
+    """
 
     reported: ClassVar[tuple[str, ...]] = ("cases",)
 

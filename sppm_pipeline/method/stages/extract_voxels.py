@@ -8,7 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, Palette, ResourceError, ScalarField, Size, Stage, Voxels, options
+from sppm_pipeline import Context, Palette, ScalarField, Size, Stage, Voxels, options
+from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.services.formats.voxel_image import LARGEST_IMAGE
 from sppm_pipeline.services.grid import Grid, cell_centers
 

@@ -127,8 +127,9 @@ def test_completion_without_jedi(text, wanted):
 
 def test_dir_offers_nothing_that_fails():
     for family in (name for name in dir(sppm.step)):
-        for word in dir(getattr(sppm, family)):
-            assert callable(getattr(getattr(sppm, family), word))
+        for word in dir(getattr(sppm.step, family)):
+            if family != "load":  # `sppm.load` reads run directories
+                assert callable(getattr(getattr(sppm, family), word))
             assert callable(getattr(getattr(sppm.step, family), word))
     for name in dir(sppm):
         assert getattr(sppm, name) is not None

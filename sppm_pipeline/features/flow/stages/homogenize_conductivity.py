@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, ScalarField, SidedHomogenizer, Voxels, option, options
+from sppm_pipeline import ConfigError, Context, ScalarField, Voxels, option, options
 from sppm_pipeline.features.flow.permeability import ConductivityReport
-from sppm_pipeline.nouns import VoxelCell
+from sppm_pipeline.nouns import SidedHomogenizer, VoxelCell
 from sppm_pipeline.numerics import grids_below, per_phase, refined
 
 MIN_WALL = 3

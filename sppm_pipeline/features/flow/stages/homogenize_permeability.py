@@ -8,17 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    Context,
-    DesignError,
-    Homogenizer,
-    Length,
-    ScalarField,
-    SidedHomogenizer,
-    Voxels,
-    option,
-    options,
-)
+from sppm_pipeline import Context, DesignError, Homogenizer, Length, ScalarField, Voxels, option, options
 from sppm_pipeline.features.flow.numerics.faces import (
     Faces,
     Percolation,
@@ -28,6 +18,7 @@ from sppm_pipeline.features.flow.numerics.faces import (
     percolating,
 )
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
+from sppm_pipeline.nouns import SidedHomogenizer
 from sppm_pipeline.numerics import cell_centers, grids_below, refined
 
 MIN_THROAT = 5

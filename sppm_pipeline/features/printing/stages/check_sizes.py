@@ -14,7 +14,6 @@ from sppm_pipeline import (
     Length,
     Palette,
     Rejected,
-    ResourceError,
     ScalarField,
     Size,
     Stage,
@@ -22,6 +21,7 @@ from sppm_pipeline import (
     option,
     options,
 )
+from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.features.printing.print_report import Measure, parse_rule
 from sppm_pipeline.services.arrays import F32, U8
 from sppm_pipeline.services.grid import cell_centers

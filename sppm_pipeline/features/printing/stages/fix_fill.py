@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, Headline, Length, Palette, Part, ResourceError, Size, Stage, option, options
+from sppm_pipeline import Context, Headline, Length, Palette, Part, Size, Stage, option, options
+from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.features.printing.print_report import rounded
 from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.arrays import F64, I32

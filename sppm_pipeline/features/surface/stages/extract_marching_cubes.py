@@ -19,7 +19,6 @@ from sppm_pipeline import (
     Length,
     Palette,
     Part,
-    ResourceError,
     ScalarField,
     Size,
     Stage,
@@ -27,6 +26,7 @@ from sppm_pipeline import (
     option,
     options,
 )
+from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.features.surface.field_surface import (
     KEPT_SAMPLES,
     MAX_VOXELS,
