@@ -12,7 +12,7 @@ from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors
 
-BUILTINS = ("sppm_pipeline.testing.synthetic", "sppm_pipeline.engine.run.executors")
+BUILTINS = ("tests.synthetic", "sppm_pipeline.engine.run.executors")
 
 
 class Workplace:

@@ -25,7 +25,7 @@ from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.storage import DamagedError
-from sppm_pipeline.testing.synthetic import Number
+from tests.synthetic import Number
 
 STAGES = Path(__file__).with_name("slow_stages.py")
 SLOW = 0.05

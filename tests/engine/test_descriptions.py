@@ -21,13 +21,13 @@ from sppm_pipeline.engine.plan.describe import (
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.schema import configuration_schema
-from sppm_pipeline.testing.synthetic import Varied
 from tests.built_in import BUILT_IN
+from tests.synthetic import Varied
 
 
 @pytest.fixture(scope="module")
 def registry():
-    return Registry(load_plugins(["sppm_pipeline.testing.synthetic"], distributions=False))
+    return Registry(load_plugins(["tests.synthetic"], distributions=False))
 
 
 def test_the_schema_covers_every_stage_and_option(registry):

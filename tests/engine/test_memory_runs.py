@@ -17,10 +17,10 @@ from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, ConfigErrors
 from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.testing.synthetic import Number
+from tests.synthetic import Number
 
 TEXT = "seed: 4\npipeline: [sample.random, field.scale, {stage: extract.text, id: words}, write.number]"
-SYNTHETIC = ("sppm_pipeline.testing.synthetic",)
+SYNTHETIC = ("tests.synthetic",)
 
 
 def files_below(folder):

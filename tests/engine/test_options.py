@@ -23,7 +23,7 @@ from sppm_pipeline.engine.config.options import (
 from sppm_pipeline.errors import PluginError, Position
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import Stage, option
-from sppm_pipeline.testing.synthetic import Text, Varied
+from tests.synthetic import Text, Varied
 
 OPTIONS = options_of(Varied)
 NUMERIC = ["whole", "number", "length", "pair", "numbers", "maybe", "either", "sizes"]

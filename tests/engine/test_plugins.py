@@ -12,16 +12,16 @@ from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
-from sppm_pipeline.testing import synthetic
+from tests import synthetic
 
-BUILTINS = ("sppm_pipeline.testing.synthetic", "sppm_pipeline.engine.run.executors")
+BUILTINS = ("tests.synthetic", "sppm_pipeline.engine.run.executors")
 
 ONE_FILE = '''
 from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.stage import Context, Stage, option
-from sppm_pipeline.testing.synthetic import Number
+from tests.synthetic import Number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,8 +204,8 @@ class Undecorated(synthetic.ReadWhole):
     ("target", "words"),
     [
         ("no_such_module_anywhere:X", "'no_such_module_anywhere' is not installed"),
-        ("sppm_pipeline.testing.synthetic:Nothing", "can't be imported"),
-        ("sppm_pipeline.testing.synthetic", "'module:name'"),
+        ("tests.synthetic:Nothing", "can't be imported"),
+        ("tests.synthetic", "'module:name'"),
         (synthetic.ReadNumber, "has the name 'read.number'"),
         (dict, "no subclass of Stage"),
         (Abstract, "does not implement run"),

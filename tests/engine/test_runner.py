@@ -19,7 +19,7 @@ from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Rejected
-from sppm_pipeline.testing import synthetic
+from tests import synthetic
 
 CHAIN = """name: chain
 seed: 3
@@ -106,7 +106,7 @@ def test_a_record_repeats_its_run_from_anywhere(work, monkeypatch):
     def again(to, **overrides):
         from sppm_pipeline.engine.config.parameters import Overrides
 
-        request = RunRequest("run.json", ("sppm_pipeline.testing.synthetic",), (), False, Overrides(**overrides))
+        request = RunRequest("run.json", ("tests.synthetic",), (), False, Overrides(**overrides))
         return run_plan(open_session(request).plan(), work.folder / to, threads=1)
 
     second = again("b")
@@ -342,7 +342,7 @@ from typing import Any, ClassVar
 
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
-from sppm_pipeline.testing.synthetic import Number
+from tests.synthetic import Number
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -188,7 +188,7 @@ import multiprocessing
 
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Stage, option
-from sppm_pipeline.testing.synthetic import Number
+from tests.synthetic import Number
 
 class Cluster(ThreadPoolExecutor):
     def shutdown(self, wait=True):  # Dask's knows no `cancel_futures` either

@@ -34,7 +34,7 @@ FOLDER = """
 from dataclasses import dataclass
 from typing import ClassVar
 from sppm_pipeline.stage import Context, Stage
-from sppm_pipeline.testing.synthetic import Number
+from tests.synthetic import Number
 
 @dataclass(frozen=True, kw_only=True)
 class WriteFolder(Stage):

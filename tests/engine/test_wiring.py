@@ -11,7 +11,7 @@ from sppm_pipeline.engine.plan.describe import dot_graph, mermaid_graph, wiring_
 from sppm_pipeline.engine.plan.ports import artifact_words, fits, signature_of
 from sppm_pipeline.errors import ConfigErrors, PluginError, WiringError
 from sppm_pipeline.stage import Context, Recipe, Stage
-from sppm_pipeline.testing.synthetic import Number, Text, Whole
+from tests.synthetic import Number, Text, Whole
 
 A = "  - {stage: read.number, value: 1, id: a}\n"
 B = "  - {stage: read.number, value: 2, id: b}\n"

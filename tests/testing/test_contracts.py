@@ -17,7 +17,7 @@ from sppm_pipeline.method.slicing.slice_stack import ArraySlices, SliceStack
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.testing.contracts import SamplerContract, SlicerContract, StageContract
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
-from sppm_pipeline.testing.synthetic import (
+from tests.synthetic import (
     LimitNumber,
     Number,
     RandomNumber,

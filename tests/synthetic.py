@@ -1,6 +1,6 @@
 """Stages and artifacts without geometry, for tests of the engine, of executors and of tools around runs.
 
-They register through the hooks like any plugin: ``--plugin`` or `load_plugins(["sppm_pipeline.testing.synthetic"])`.
+They register through the hooks like any plugin: ``--plugin`` or `load_plugins(["tests.synthetic"])`.
 """
 
 from __future__ import annotations
