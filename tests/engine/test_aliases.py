@@ -69,7 +69,7 @@ def test_a_former_stage_name_draws_the_same_numbers_and_says_so_once(work, renam
     record = work.run(text, plugins=[renamed])
     old = work.run("pipeline: [{stage: sample.draw, scale: 1, id: sample.throw}]", plugins=[renamed], to="new")
     assert value(record) == value(old)
-        assert record["warnings"] == [words.replace(f"{work.folder}/", "") for words in plan.warnings]
+    assert record["warnings"] == [words.replace(f"{work.folder}/", "") for words in plan.warnings]
 
 
 def test_the_record_of_a_run_names_the_stage_as_it_is_called_now(work, renamed):
