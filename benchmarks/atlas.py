@@ -23,8 +23,17 @@ from pathlib import Path
 import numpy as np
 
 import sppm_pipeline as sppm
-from sppm_pipeline.features.design.atlas import DATA, PROPERTIES, Atlas, built, digest_of, spread, versions
-from sppm_pipeline.features.design.families import FAMILIES, configuration
+from sppm_pipeline.features.design.atlas import (
+    DATA,
+    FAMILIES,
+    PROPERTIES,
+    Atlas,
+    built,
+    configuration,
+    digest_of,
+    spread,
+    versions,
+)
 
 COLUMNS = ("family", "number", "draw", *PROPERTIES, "digest", "versions")
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from sppm_pipeline.hookspecs import Command, Preset, hookimpl
 
-STAGES = {
-    "design.sizes": "DesignSizes",
-    "design.stiffness": "DesignStiffness",
-}
+STAGES = {"design.sizes": "DesignSizes", "design.stiffness": "DesignStiffness"}
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 
@@ -36,10 +33,5 @@ def sppm_presets() -> dict[str, Preset]:
 @hookimpl
 def sppm_commands() -> dict[str, Command]:
     """The verbs of this feature."""
-    return {
-        "find": Command(
-            "find designs by their properties, in the atlas of measured ones",
-            f"{__name__}.commands:configure",
-            f"{__name__}.commands:execute",
-        )
-    }
+    words, where = "find designs by their properties, in the atlas of measured ones", f"{__name__}.commands"
+    return {"find": Command(words, f"{where}:configure", f"{where}:execute")}

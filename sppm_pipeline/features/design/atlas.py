@@ -17,10 +17,73 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.design.families import FAMILIES, PORES, POROSITY, configuration
 from sppm_pipeline.features.design.numerics.surrogate import Surrogate, fitted, predicted
 from sppm_pipeline.nouns.length import parse_length
 from sppm_pipeline.services.arrays import F64
+
+PORES = 40
+"""Pores of the cells that the atlas measures; in a cell of n pores, lengths are (n / 40)^(-1/3) times as long."""
+
+RESOLUTION = 40
+"""Voxels along an edge of these cells: 12 from pore to pore."""
+
+SIZES = 1.8
+"""Times as many for sizes, so that walls are some voxels thick."""
+
+DARTS = "{stage: sample.dart_throwing, total: TOTAL, spacing: 0.05}"
+EVEN = "{stage: sample.hyperuniform, total: TOTAL}"
+JOINED = "{stage: connect.mbdst, degree: [3, 5], mode: greedy}"
+KERNELS = "{stage: field.gaussian, pore_radius: PORE, tunnel_radius: TUNNEL}"
+WALLS = "{stage: field.walls, tunnel_radius: HOLE, struts: STRUTS}"
+
+
+class Family(NamedTuple):
+    """A recipe, and the parameters that the atlas varies."""
+
+    stages: tuple[str, ...]  # YAML; words in capitals stand for values
+    ranges: Mapping[str, tuple[float, float]]  # lengths are in mean distances of pores, total ** (-1 / 3) cell sizes
+
+
+POROSITY = "porosity"
+
+_TUNNELS = {POROSITY: (0.45, 0.88), "tunnel": (0.06, 0.3)}
+
+FAMILIES: Mapping[str, Family] = {
+    "paper": Family((DARTS, JOINED, KERNELS), _TUNNELS),
+    "even": Family((EVEN, JOINED, KERNELS), _TUNNELS),
+    "walls": Family((EVEN, JOINED, WALLS), {POROSITY: (0.5, 0.9), "hole": (0.1, 0.4), "struts": (0.0, 0.8)}),
+    "thrown_walls": Family((DARTS, JOINED, WALLS), {POROSITY: (0.5, 0.88), "hole": (0.1, 0.4), "struts": (0.0, 0.6)}),
+    "sheet": Family((EVEN, "{stage: field.sheet, balance: BALANCE}"), {POROSITY: (0.5, 0.75), "balance": (0.35, 0.5)}),
+}
+
+PORE = 0.44
+"""Radius of the paper's pores, in mean distances of pores: that of 95 pores of omega 30 at level 0.25 in a cell of edge
+2. Tuning the porosity changes it, and the tunnels with it."""
+
+
+def configuration(name: str, family: str, values: Mapping[str, float], total: int = PORES, cell: str = "") -> str:
+    """A configuration that makes one cell of a design and measures what the atlas holds."""
+    length = total ** (-1 / 3)
+    words = {"TOTAL": f"{total}, edge: {cell}" if cell else str(total), "PORE": f"{PORE * length:.6g}"}
+    for word, value in values.items():
+        words[word.upper()] = f"{value * length if word in ('tunnel', 'hole') else value:.6g}"
+    stages = "\n".join(f"    - {line}" for line in FAMILIES[family].stages)
+    for word, text in words.items():
+        stages = stages.replace(word, text)
+    n, source = round(RESOLUTION * (total / PORES) ** (1 / 3)), "from: tune.porosity"
+    return f"""sppm: 1
+name: {name}
+recipes:
+  cell:
+{stages}
+pipeline:
+  - {{stage: tune.porosity, recipe: cell, target: {values[POROSITY]:.4g}}}
+  - {{stage: homogenize.voxel, resolution: {n}, {source}}}
+  - {{stage: homogenize.conductivity, resolution: {n}, {source}}}
+  - {{stage: homogenize.permeability, resolution: {n}, {source}}}
+  - {{stage: check.sizes, resolution: {round(SIZES * n)}, {source}}}
+"""
+
 
 DATA = Path(__file__).with_name("atlas.npz")
 
@@ -189,12 +252,11 @@ def _conditions(query: str, names: Sequence[str], cell: bool) -> tuple[list[_Con
                 hint='for example "E_relative > 0.1, porosity = 0.7, strut > 0.3 mm"',
             )
         sides = [re.sub(r"(?<=\d)\s*mm\b", "", side) for side in (match[1], match[3])]
-        if (sides[0], sides[1]) != (match[1], match[3]) and not cell:
-            raise ConfigError(
-                f"{part.strip()!r} is in mm, and the size of the cell is missing", hint="give `cell`: 4 mm"
-            )
+        if sides != [match[1], match[3]] and not cell:
+            raise ConfigError(f"{part.strip()!r} is in mm, and the size of the cell is missing", hint="`cell`: 4 mm")
         left, right = (Expression(side, names) for side in sides)
-        if left.text.strip() == POROSITY and match[2] in ("=", "==") and not right.used:
+        exact = left.text.strip() == POROSITY and match[2] in ("=", "==") and not right.used
+        if exact and porosity is None:
             porosity = float(right.evaluate({}, 1)[0])
         else:
             found.append(_Condition(left, match[2].replace("==", "=")[0], right))
@@ -244,12 +306,15 @@ def searched(
         edge = parse_length(cell).mm() if cell else 1.0
     except ValueError as error:
         raise ConfigError(f"`cell` is {cell!r}: {error}", hint="for example `4 mm`") from None
+    if not edge > 0 or count < 1:
+        raise ConfigError(f"`cell` is {cell!r} and `count` {count}; both should be above 0")
+    if minimize and maximize:
+        raise ConfigError("designs are ordered by one formula", hint="give `minimize` or `maximize`")
     names = (*PROPERTIES, POROSITY)
     conditions, porosity = _conditions(query, names, cell is not None)
     atlas = Atlas.read()
-    rows: list[tuple[str, F64, int]] = []
+    rows: list[tuple[str, F64, int, F64]] = []
     tables: list[F64] = []
-    halves: list[F64] = []
     powers = np.array(list(LENGTH_POWERS.values()))
     for family, (_, ranges) in FAMILIES.items():
         low, high = ranges[POROSITY]
@@ -261,8 +326,7 @@ def searched(
         for total in TOTALS:
             values = np.exp(logs) * (edge * total ** (-1 / 3)) ** powers
             tables.append(np.column_stack([values, low + at[:, 0] * (high - low)]))
-            rows += [(family, point, total) for point in at]
-            halves += [half] * len(at)
+            rows += [(family, point, total, np.exp(half)) for point in at]
     if not tables:
         ranges_ = ", ".join(f"{name} {f.ranges[POROSITY]}" for name, f in FAMILIES.items())
         raise ConfigError(f"no family has the porosity {porosity:g}", hint=f"there are {ranges_}")
@@ -270,8 +334,6 @@ def searched(
     columns = dict(zip(names, table.T, strict=True))
     margins = [condition.margin(columns, len(table)) for condition in conditions] or [np.ones(len(table))]
     margin = np.min(margins, axis=0)
-    if minimize and maximize:
-        raise ConfigError("designs are ordered by one formula", hint="give `minimize` or `maximize`")
     aim = Expression(minimize or maximize, names).evaluate(columns, len(table)) if minimize or maximize else -margin
     aim = -aim if maximize else aim
     good = np.flatnonzero(margin > 0)
@@ -283,7 +345,7 @@ def searched(
         )
     chosen: list[int] = []
     for k in good[np.argsort(aim[good], kind="stable")]:
-        family, point, _ = rows[k]
+        family, point, *_ = rows[k]
         own = [j for j in chosen if rows[j][0] == family]
         if len(own) < OF_A_FAMILY and all(np.abs(rows[j][1] - point).max() > NEAR for j in own):
             chosen.append(int(k))
@@ -291,8 +353,7 @@ def searched(
             break
     found = []
     for k in chosen:
-        family, point, total = rows[k]
-        bands = np.exp(halves[k])
+        family, point, total, bands = rows[k]
         values = {
             name: (float(table[k, p] / bands[p]), float(table[k, p]), float(table[k, p] * bands[p]))
             for p, name in enumerate(PROPERTIES)

@@ -19,18 +19,10 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument("--cell", metavar="LENGTH", help="size of a cell, such as 4mm; lengths then are in mm")
     parser.add_argument("--count", type=int, default=5, metavar="N", help="designs that are shown at most (5)")
     order = parser.add_mutually_exclusive_group()
-    order.add_argument(
-        "--minimize", metavar="FORMULA", default="", help="order designs by a formula, the smallest first"
-    )
-    order.add_argument(
-        "--maximize", metavar="FORMULA", default="", help="order designs by a formula, the largest first"
-    )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="FOLDER",
-        help="write a configuration for each design and a picture of all that fit",
-    )
+    for name, first in (("--minimize", "smallest"), ("--maximize", "largest")):
+        order.add_argument(name, metavar="FORMULA", default="", help=f"order designs by a formula, the {first} first")
+    more = "write a configuration for each design and a picture of all that fit"
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help=more)
 
 
 def execute(args: Namespace) -> int:
@@ -53,8 +45,8 @@ def execute(args: Namespace) -> int:
 def _write(folder: Path, query: str, found: list[FoundDesign], candidates: Mapping[str, Any]) -> None:
     from sppm_pipeline.errors import InputError
 
-    if folder.exists() and any(folder.iterdir()):
-        raise InputError(f"the folder {folder} is not empty", hint="name another with --output")
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise InputError(f"{folder} is no empty folder", hint="name another with --output")
     folder.mkdir(parents=True, exist_ok=True)
     for number, one in enumerate(found, 1):
         (folder / f"found_{number}.yaml").write_text(one.configuration(f"found_{number}"), encoding="utf-8")
@@ -65,15 +57,15 @@ def _write(folder: Path, query: str, found: list[FoundDesign], candidates: Mappi
 def _draw(path: Path, query: str, found: list[FoundDesign], candidates: Mapping[str, Any]) -> None:
     """All candidates that meet the conditions, those that none beats in both properties, and the designs found."""
     import numpy as np
-    from matplotlib.figure import Figure
 
     from sppm_pipeline.features.design.atlas import PROPERTIES
+    from sppm_pipeline.nouns.artifact import optional_module
     from sppm_pipeline.services.expression import names_in
 
     named = [name for name in PROPERTIES if name in names_in(query.replace(",", " "))]
     across, up = ([*named, *(name for name in ("E_relative", "permeability") if name not in named)])[:2]
     x, y = candidates[across], candidates[up]
-    figure = Figure(figsize=(7, 5), layout="constrained")
+    figure = optional_module("matplotlib.figure").Figure(figsize=(7, 5), layout="constrained")
     axes = figure.subplots()
     axes.loglog(x, y, ".", color="0.75", markersize=3, label="candidates that meet the conditions")
     order = np.argsort(-x, kind="stable")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,11 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.features.parts.bodies import SharedBody, mesh_body
-from sppm_pipeline.features.parts.numerics.density_law import DensityLaw, density_law, solid_constants
 from sppm_pipeline.features.parts.solving import Model
+from sppm_pipeline.services.elastic.loaded import packed, unpacked
+from sppm_pipeline.services.elastic.voigt import from_lame, lame
 from sppm_pipeline.services.mesh.box_tree import box_tree
+from sppm_pipeline.services.monotone_cubic import MonotoneCubic, monotone_cubic
 from sppm_pipeline.services.nearest import surface_distances
 
 MAX_ELEMENTS = 128
@@ -38,6 +41,9 @@ partly averaged."""
 
 TRIED = 8
 """Numbers of pores that usually cover a range of densities."""
+
+SLACK = 0.02
+"""Density by which a law is continued beyond its cells: cells of a number of pores scatter about as much."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +73,8 @@ class LoadedPart(Stage):
         "cubic", help="cubic: the law is averaged over the symmetries of a cube, which stochastic cells have in the "
         "mean; none: as the trial cells are", choices=("cubic", "none"),
     )  # fmt: skip
-    solver_tolerance: float = option(
-        1e-5,
-        help="relative error of the result left by the solver, estimated; of the compliance",
-        minimum=1e-10,
-        maximum=0.01,
-    )
+    solver_tolerance: float = option(1e-5, help="relative error of the result left by the solver, estimated; of the "
+                                     "compliance", minimum=1e-10, maximum=0.01)  # fmt: skip
     iterations: int = options.iterations(2000)
 
     def check_options(self) -> None:
@@ -83,10 +85,8 @@ class LoadedPart(Stage):
     def law_size(self, recipe: RecipeSize) -> Size:
         """Cells of the law, homogenized."""
         cells = TRIED * self.trials
-        size: Size = stage_class("homogenize.voxel")(resolution=self.law_resolution).solving(
-            recipe(Palette(), cells), cells
-        )
-        return size
+        solver: Any = stage_class("homogenize.voxel")(resolution=self.law_resolution)
+        return cast(Size, solver.solving(recipe(Palette(), cells), cells))
 
     def law_of(self, context: Context, recipe: Recipe) -> tuple[DensityLaw, float]:
         """The law of a recipe, MPa, and the edge of its cell in the part, mm."""
@@ -134,7 +134,7 @@ class LoadedPart(Stage):
 
     def model_of(
         self, shared: SharedBody, law: DensityLaw, density: NDArray[np.float64], skin: NDArray[np.float64],
-        bearing: NDArray[np.float64], dtype: Any = np.float32,
+        bearing: NDArray[np.float64] | float, dtype: Any = np.float32,
     ) -> Model:  # fmt: skip
         """A homogenized part of densities (m,), of which a share is skin, and a share bears at all."""
         body, share = shared.body, shared.share[shared.body.solid].astype(np.float64)
@@ -161,3 +161,90 @@ def middles_of(shared: SharedBody) -> NDArray[np.float64]:
     z, y, x = np.nonzero(shared.body.solid)
     middles: Any = (np.stack([x, y, z], axis=1) + 0.5) * np.array(shared.body.edges) + np.array(shared.body.origin)
     return np.ascontiguousarray(middles, np.float64)
+
+
+class DensityLaw(NamedTuple):
+    """All 21 constants of a stiffness over the relative density, each by monotone cubics, up to the solid.
+
+    Attributes
+    ----------
+    density : (m,) float64
+        Ascending; the last one is 1.
+    constants : (21, m) float64
+        In the unit of the solid's Young's modulus.
+    """
+
+    density: NDArray[np.float64]
+    constants: NDArray[np.float64]
+
+    @property
+    def _curves(self) -> list[MonotoneCubic]:
+        return [monotone_cubic(self.density, one) for one in self.constants]
+
+    def at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Constants (21, n)."""
+        return np.stack([curve.at(density) for curve in self._curves])
+
+    def slope_at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives of the constants (21, n)."""
+        return np.stack([curve.slope_at(density) for curve in self._curves])
+
+    def check_range(self, density: NDArray[np.float64], what: str) -> None:
+        """Raise `DesignError` if a density lies below those that were measured."""
+        low = float(density.min())
+        if low < self.density[0] - SLACK or float(density.max()) > 1:
+            raise DesignError(
+                f"{what} has relative densities from {low:.3g} to {float(density.max()):.3g}, and the law of the "
+                f"recipe was measured from {self.density[0]:.3g} on",
+                hint="give a wider range `density`, or bound the map of the porosity",
+            )
+
+
+def solid_constants(young: float, poisson: float) -> NDArray[np.float64]:
+    """The 21 constants of an isotropic solid."""
+    return packed(from_lame(*lame(young, poisson)))
+
+
+def density_law(
+    densities: NDArray[np.float64], matrices: NDArray[np.float64], young: float, poisson: float, *, cubic: bool
+) -> DensityLaw:
+    """The law through the means of draws of densities (n, draws) and stiffnesses (n, draws, 6, 6).
+
+    Parameters
+    ----------
+    young, poisson : float
+        Of the solid, which ends the law.
+    cubic : bool
+        Average over the symmetries of a cube, which a structure without a preferred axis has in the mean.
+
+    Raises
+    ------
+    DesignError
+        If stiffness does not grow with density.
+    """
+    means = matrices.mean(axis=1)
+    if cubic:
+        means = np.stack([cubic_mean(one) for one in means])
+    order = np.argsort(densities.mean(axis=1))
+    x = np.append(densities.mean(axis=1)[order], 1.0)
+    y = np.column_stack([packed(means[order]), solid_constants(young, poisson)])
+    traces = y[[0, 6, 11, 15, 18, 20]].sum(axis=0)
+    if len(x) < 3 or not (np.diff(traces) > 0).all():
+        raise DesignError(
+            "the stiffness of the trial cells does not grow with their density",
+            hint="give more `trials`, a wider range `density`, or a finer `resolution`",
+        )
+    law = DensityLaw(x, y)
+    if np.linalg.eigvalsh(unpacked(law.at(np.linspace(x[0], 1, 50))))[:, 0].min() <= 0:
+        raise DesignError("a trial cell has no stiffness along some strain", hint="narrow the range `density`")
+    return law
+
+
+def cubic_mean(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of a stiffness (6, 6) over the 48 symmetries of a cube: three constants are left."""
+    normal, shear = matrix[:3, :3], matrix[3:, 3:]
+    pairs = [normal[i, j] for i, j in itertools.combinations(range(3), 2)]
+    found = np.zeros((6, 6))
+    found[:3, :3] = np.mean(pairs)
+    np.fill_diagonal(found, [np.trace(normal) / 3] * 3 + [np.trace(shear) / 3] * 3)
+    return found

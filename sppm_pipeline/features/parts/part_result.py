@@ -101,7 +101,7 @@ class PartResult(Report, Viewable):
 
     @classmethod
     def report_charts(cls, summary: Mapping[str, Any]) -> list[Chart]:
-        """Displacement over force along the cases, if there are several."""
+        """The compliance of each case, if there are several."""
         cases = summary.get("cases") or {}
         if len(cases) < 2:
             return []

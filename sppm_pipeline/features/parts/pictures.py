@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.parts.numerics.voxel_body import Applied, VoxelBody, exposed_faces
+from sppm_pipeline.features.parts.numerics.voxel_body import Applied, VoxelBody, at_nodes, exposed_faces
 from sppm_pipeline.pictures import BONE, Camera, colors_of, contact_sheet, render_mesh, with_scale
 
 if TYPE_CHECKING:
@@ -32,28 +32,14 @@ SHOWN = 1 << 20
 
 
 class Shell(NamedTuple):
-    """The surface of a body, on blocks of its voxels if these are many.
+    """The surface of a body, on blocks of its voxels if these are many."""
 
-    Attributes
-    ----------
-    block : int
-        Voxels along the edge of a block.
-    solid : (nz, ny, nx) bool
-        The body itself.
-    coarse : VoxelBody
-        Blocks, solid where half of their voxels are.
-    nodes, triangles, voxels
-        As `surface_of` has them, of the blocks.
-    points : (n, 3) float32
-    """
-
-    block: int
-    solid: NDArray[np.bool_]
-    coarse: VoxelBody
-    nodes: NDArray[np.int64]
+    block: int  # voxels along the edge of a block, solid where half of them are
+    solid: NDArray[np.bool_]  # the body itself
+    nodes: NDArray[np.int64]  # these as `surface_of` has them, of the blocks
     triangles: NDArray[np.int32]
     voxels: NDArray[np.int64]
-    points: NDArray[np.float32]
+    points: NDArray[np.float32]  # (n, 3)
 
     @classmethod
     def of(cls, body: VoxelBody) -> Shell:
@@ -65,24 +51,15 @@ class Shell(NamedTuple):
         x, y, z = (block * h for h in body.edges)
         coarse = VoxelBody(share >= 0.5, (x, y, z), body.origin) if block > 1 else body
         nodes, triangles, voxels = surface_of(coarse)
-        return cls(block, body.solid, coarse, nodes, triangles, voxels, coarse.points(nodes).astype(np.float32))
+        return cls(block, body.solid, nodes, triangles, voxels, coarse.points(nodes).astype(np.float32))
 
     def moved(self, u: NDArray[Any]) -> NDArray[np.float32]:
         """Displacements (n, 3) of its points: of blocks, the means of the solid voxels around them."""
         if self.block == 1:
             return np.asarray(u.reshape(3, -1)[:, self.nodes].T, np.float32)
-        found = []
-        for one in u:
-            sums, counts = np.zeros(self.coarse.nodes, np.float32), np.zeros(self.coarse.nodes, np.float32)
-            own = _blocks(np.where(self.solid, one[:-1, :-1, :-1], 0), self.block)
-            there = _blocks(self.solid.astype(np.float32), self.block)
-            nz, ny, nx = own.shape
-            for a in range(8):
-                to = slice(a >> 2, nz + (a >> 2)), slice(a >> 1 & 1, ny + (a >> 1 & 1)), slice(a & 1, nx + (a & 1))
-                sums[to] += own
-                counts[to] += there
-            found.append((sums / np.maximum(counts, 1e-30)).reshape(-1)[self.nodes])
-        return np.stack(found, axis=1)
+        counts = np.maximum(at_nodes(_blocks(self.solid.astype(np.float32), self.block)), 1e-30)
+        sums = (at_nodes(_blocks(np.where(self.solid, one[:-1, :-1, :-1], 0), self.block)) for one in u)
+        return np.stack([(each / counts).reshape(-1)[self.nodes] for each in sums], axis=1)
 
     def stresses(self, stress: NDArray[np.float32]) -> NDArray[np.float32]:
         """Stresses (m,) of its triangles: of blocks, the means of their solid."""
@@ -96,10 +73,8 @@ def _blocks(values: NDArray[Any], block: int) -> NDArray[np.float32]:
     """Means of blocks; those at the ends are filled up with zeros."""
     if block == 1:
         return np.asarray(values, np.float32)
-    for axis in range(3):
-        n = values.shape[axis]
-        starts = np.arange(0, n, block)
-        values = np.add.reduceat(values, starts, axis=axis) / np.float32(block)
+    for axis, n in enumerate(values.shape):
+        values = np.add.reduceat(values, np.arange(0, n, block), axis=axis) / np.float32(block)
     return np.asarray(values, np.float32)
 
 
@@ -121,13 +96,10 @@ def deformed_picture(result: PartResult, case: int, size: tuple[int, int]) -> ND
     """The deformed part in colors of the stress."""
     top = float(np.percentile(result.stresses[case], 99)) if result.stresses.size else 0.0
     drawn = render_mesh(
-        (result.points + result.magnification * result.moved[case]).astype(np.float64),
-        result.triangles,
-        camera=CAMERA,
-        size=size,
-        face_colors=colors_of(result.stresses[case].astype(np.float64), 0.0, top),
+        (result.points + result.magnification * result.moved[case]).astype(np.float64), result.triangles,
+        camera=CAMERA, size=size, face_colors=colors_of(result.stresses[case].astype(np.float64), 0.0, top),
         smooth=False,
-    )
+    )  # fmt: skip
     label = f"{list(result.cases)[case]}: displacements {result.magnification:g} times"
     sheet = contact_sheet([drawn], [label])
     return np.asarray(with_scale(sheet, 0.0, top, "von Mises, MPa", max(120, size[0] // 5)) if top > 0 else sheet)

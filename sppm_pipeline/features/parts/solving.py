@@ -22,26 +22,13 @@ result at all but a mistake of units."""
 
 
 class Model(NamedTuple):
-    """What is solved.
-
-    Attributes
-    ----------
-    body : VoxelBody
-    moduli : (nz, ny, nx) float, or (21, nz, ny, nx) float
-        Shear moduli of voxels of one Poisson's ratio, or all constants, MPa; 0 in the void.
-    ratio : float
-        Of both Lamé constants, with shear moduli.
-    mass : (nz, ny, nx) float32
-        Of the voxels, g; their volume in cm3 where the density is not known.
-    walls : (nz, ny, nx) float32, or None
-        Relative density of the walls in a homogenized voxel.
-    """
+    """What is solved: all arrays are those of voxels (nz, ny, nx)."""
 
     body: VoxelBody
-    moduli: NDArray[Any]
-    ratio: float
-    mass: NDArray[np.float32]
-    walls: NDArray[np.float32] | None = None
+    moduli: NDArray[Any]  # shear moduli of one Poisson's ratio, or all constants (21, nz, ny, nx), MPa; 0 in the void
+    ratio: float  # of both Lamé constants, with shear moduli
+    mass: NDArray[np.float32]  # of the voxels, g; their volume in cm3 where the density is not known
+    walls: NDArray[np.float32] | None = None  # relative density of the walls in a homogenized voxel
 
     def held(self, solid: NDArray[np.bool_], fixed: NDArray[np.bool_], dtype: Any) -> HeldBody:
         """The solver of what is solid, with nodes held."""
@@ -62,25 +49,17 @@ class Prepared(NamedTuple):
 def prepared(model: Model, case: LoadCase, *, drop: bool) -> Prepared:
     """Put a case on the pieces of the body that it holds; `DesignError` as `applied` and `held_solid`."""
     found = applied(model.body, case, model.mass)
-    held = held_solid(model.body, case, found.fixed, drop=drop)
-    if not held.loose:
+    solid, loose = held_solid(model.body, case, found.fixed, drop=drop)
+    if not loose:
         return Prepared(case, model.body, found, 0.0)
-    body = model.body._replace(solid=held.solid)
-    return Prepared(case, body, applied(body, case, np.where(held.solid, model.mass, 0)), held.loose)
+    body = model.body._replace(solid=solid)
+    return Prepared(case, body, applied(body, case, np.where(solid, model.mass, 0)), loose)
 
 
 def simulated(
-    context: Context,
-    model: Model,
-    cases: LoadCases,
-    *,
-    drop: bool,
-    tolerance: float,
-    iterations: int,
-    yield_stress: float | None,
-    has_mass: bool,
-    keep: bool = False,
-) -> tuple[PartResult, Mapping[str, dict[str, NDArray[Any]]]]:
+    context: Context, model: Model, cases: LoadCases, *, drop: bool, tolerance: float, iterations: int,
+    yield_stress: float | None, has_mass: bool, keep: bool = False,
+) -> tuple[PartResult, Mapping[str, dict[str, NDArray[Any]]]]:  # fmt: skip
     """Solve all cases: the result, and with `keep` displacements and stresses on all voxels of each, for files."""
     numbers: dict[str, Any] = {}
     compliance, worst_move, worst_stress, loose = 0.0, 0.0, 0.0, 0.0

@@ -27,26 +27,13 @@ UNITS = {"force": {"N": 1.0, "kN": 1e3}, "pressure": {"MPa": 1.0, "kPa": 1e-3, "
 
 
 class Region(NamedTuple):
-    """A piece of space that selects what lies in it, or within a tolerance of it.
+    """A piece of space that selects what lies in it, or within a tolerance of it."""
 
-    Attributes
-    ----------
-    kind : {"plane", "box", "sphere", "cylinder", "triangles", "surface"}
-    numbers : tuple of float
-        Place of a plane; low and high corner; center and radius; center across the axis, radius and both ends; mm.
-    axis : int
-        Of a plane or cylinder.
-    text : str
-        As it was written.
-    triangles : (n, 3, 3) float64
-        Corners, mm, of the region "triangles".
-    """
-
-    kind: str
-    numbers: tuple[float, ...] = ()
-    axis: int = 0
-    text: str = ""
-    triangles: F64 = np.zeros((0, 3, 3))
+    kind: str  # plane, box, sphere, cylinder, triangles or surface
+    numbers: tuple[float, ...]  # place; low and high corner; center and radius; center, radius and both ends; mm
+    axis: int  # of a plane or cylinder
+    text: str  # as it was written
+    triangles: F64  # corners (n, 3, 3), mm
 
     def distances(self, points: F64) -> F64:
         """Distances (n,) of points (n, 3), mm, from it; 0 inside."""
@@ -56,15 +43,13 @@ class Region(NamedTuple):
         if self.kind == "plane":
             return np.asarray(np.abs(p[:, self.axis] - n[0]))
         if self.kind == "box":
-            beyond = np.maximum(np.maximum(np.array(n[:3]) - p, p - np.array(n[3:])), 0)
-            return np.asarray(np.linalg.norm(beyond, axis=1))
+            return np.asarray(np.linalg.norm(p - np.clip(p, n[:3], n[3:]), axis=1))
         if self.kind == "sphere":
             return np.asarray(np.maximum(np.linalg.norm(p - np.array(n[:3]), axis=1) - n[3], 0))
         if self.kind == "cylinder":
-            across = np.delete(p, self.axis, axis=1) - np.array(n[:2])
-            along = p[:, self.axis]
+            across, along = np.delete(p, self.axis, axis=1) - np.array(n[:2]), p[:, self.axis]
             outside = np.maximum(np.linalg.norm(across, axis=1) - n[2], 0)
-            return np.asarray(np.hypot(outside, np.maximum(np.maximum(n[3] - along, along - n[4]), 0)))
+            return np.asarray(np.hypot(outside, along - np.clip(along, n[3], n[4])))
         from sppm_pipeline.services.mesh.box_tree import box_tree
         from sppm_pipeline.services.nearest import surface_distances
 
@@ -72,19 +57,11 @@ class Region(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """What happens in a region.
+    """What happens in a region."""
 
-    Attributes
-    ----------
-    kind : {"displacement", "force", "pressure"}
-    region : Region
-    values : tuple of 3 floats or None, or of one
-        Displacement along x, y, z, mm, None where it is free; total force, N; pressure, MPa.
-    """
-
-    kind: str
+    kind: str  # displacement, force or pressure
     region: Region
-    values: tuple[float | None, ...]
+    values: tuple[float | None, ...]  # displacement along x, y, z, mm, None where it is free; total force, N; MPa
 
 
 class LoadCase(NamedTuple):
@@ -122,11 +99,8 @@ class LoadCases(Artifact):
 
     def summary(self) -> dict[str, Any]:
         """Names of the cases and of what is in them."""
-        return {
-            "cases": len(self.cases),
-            "conditions": {case.name: [f"{one.kind} on {one.region.text}" for one in case.conditions] for case in
-                           self.cases},
-        }  # fmt: skip
+        made = {case.name: [f"{one.kind} on {one.region.text}" for one in case.conditions] for case in self.cases}
+        return {"cases": len(self.cases), "conditions": made}
 
 
 class _Words:
@@ -147,8 +121,10 @@ class _Words:
             raise self.refuse(" or ".join(map(repr, allowed)))
         return word
 
-    def numbers(self, count: int) -> list[float]:
-        """Lengths, mm; a unit holds for all numbers before it that have none."""
+    def numbers(self, count: int, after: str = "") -> list[float]:
+        """Lengths, mm, after a word; a unit holds for all numbers before it that have none."""
+        if after:
+            self.take(after)
         found = list[float]()
         for _ in range(count):
             try:
@@ -162,76 +138,59 @@ class _Words:
             self.next_is(*UNITS_IN_MM)
         return found
 
-    def done(self) -> None:
-        if self.words:
-            raise self.refuse("nothing more")
-
 
 def region_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None) -> Region:
     """The region that a text describes, at the mesh of a part; without one the text alone is checked.
 
-    Raises
-    ------
-    ConfigError
-        If it describes none.
+    A `ConfigError` says what was expected instead.
     """
     words = _Words(text, text.split())
     kind = words.take("plane", "box", "sphere", "cylinder", "group", "near", "surface")
-    axis = 0
+    axis = AXES.index(words.take(*AXES)) if kind in ("plane", "cylinder") else 0
     numbers: list[float] = []
     triangles = np.zeros((0, 3, 3))
-    low, high = (np.zeros(3), np.zeros(3)) if part is None else (part.lower, part.upper)
     if kind == "plane":
-        axis = AXES.index(words.take(*AXES))
         words.take("at")
         end = words.next_is("low", "high")
-        numbers = words.numbers(1) if end is None else [float((low if end == "low" else high)[axis])]
+        ends = {} if part is None else {"low": part.lower, "high": part.upper}
+        numbers = words.numbers(1) if end is None else [float(ends[end][axis]) if ends else 0.0]
     elif kind == "box":
-        corner = words.numbers(3)
-        words.take("to")
-        other = words.numbers(3)
+        corner, other = words.numbers(3), words.numbers(3, after="to")
         numbers = [*map(min, corner, other), *map(max, corner, other)]
     elif kind == "sphere":
-        numbers = words.numbers(3)
-        words.take("radius")
-        numbers += words.numbers(1)
+        numbers = words.numbers(3) + words.numbers(1, after="radius")
     elif kind == "cylinder":
-        axis = AXES.index(words.take(*AXES))
-        words.take("at")
-        numbers = words.numbers(2)
-        words.take("radius")
-        numbers += words.numbers(1)
-        ends = [-math.inf, math.inf]
-        if words.next_is("from"):
-            ends = words.numbers(1)
-            words.take("to")
-            ends += words.numbers(1)
-        numbers += sorted(ends)
+        numbers = words.numbers(2, after="at") + words.numbers(1, after="radius")
+        numbers += sorted(
+            words.numbers(1) + words.numbers(1, after="to") if words.next_is("from") else [-math.inf, math.inf]
+        )
     elif kind == "group":
         name = " ".join(words.words)
         words.words = []
-        groups = () if part is None else part.groups
-        chosen = [range(first, last) for group, first, last in groups if group == name]
         if part is not None:
+            chosen = [part.faces[first:last] for group, first, last in part.groups if group == name]
             if not chosen:
-                known = ", ".join(sorted({group for group, _, _ in groups})[:20])
+                known = ", ".join(sorted({group for group, _, _ in part.groups})[:20])
                 raise ConfigError(
                     f"the mesh {part.name!r} has no group {name[:60]!r}", hint=f"it has {known or 'no groups at all'}"
                 )
-            triangles = part.vertices[part.faces[np.concatenate([np.array(one) for one in chosen])]]
+            triangles = part.vertices[np.concatenate(chosen)]
     elif kind == "near" and part is not None:
         if near is None:
             raise ConfigError(
                 f"{text!r} needs another mesh", hint="write `from: {near: id}` of the stage that reads it"
             )
         triangles = near.vertices[near.faces]
-    words.done()
+    if words.words:
+        raise words.refuse("nothing more")
     return Region("triangles" if kind in ("group", "near") else kind, tuple(numbers), axis, text, triangles)
 
 
 def held_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None, *, normal: bool = False) -> Condition:
     """What ``"plane z at 0 mm"`` or ``"x y on plane z at 0 mm"`` holds; of a plane of symmetry its normal."""
-    before, _, after = text.rpartition(" on ")
+    before, on, after = text.partition(" on ")
+    if not on or text.split()[0] == "group":  # whose name may have an ` on ` of its own
+        before, after = "", text
     axes = before.split()
     if any(axis not in AXES for axis in axes):
         raise ConfigError(
@@ -246,13 +205,7 @@ def held_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None
 
 
 def condition_of(kind: str, text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = None) -> Condition:
-    """A force, pressure or displacement such as ``"0 0 -200 N on plane z at high"``.
-
-    Raises
-    ------
-    ConfigError
-        If it is none.
-    """
+    """A force, pressure or displacement such as ``"0 0 -200 N on plane z at high"``; else a `ConfigError`."""
     example = {"force": "0 0 -200 N", "pressure": "0.2 MPa", "displacement": "free free -1 mm"}[kind]
     before, _, after = text.partition(" on ")
     *numbers, unit = before.split() or [""]

@@ -7,7 +7,7 @@ node of a coarse grid is held if any node that it is interpolated to is. Bricks 
 from __future__ import annotations
 
 from copy import copy
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,16 +83,8 @@ def brick_strains(edges: tuple[float, float, float]) -> tuple[F64, F64]:
     Displacements are those of corners i + 2 j + 4 k, x, y, z of each; strains are not scaled, weights hold the volume.
     """
     corners = np.array([[(a >> d & 1) * 2 - 1 for d in range(3)] for a in range(8)], np.float64)
-    powers: list[tuple[int, ...]] = [
-        (0, 0, 0),
-        (1, 0, 0),
-        (0, 1, 0),
-        (0, 0, 1),
-        (1, 1, 0),
-        (1, 0, 1),
-        (0, 1, 1),
-        (1, 1, 1),
-    ]
+    powers: list[tuple[int, ...]] = [*product((0, 1), repeat=3)]
+    powers.sort(key=lambda p: (sum(p), -p[0], -p[1]))
     h = np.array(edges, np.float64)
     # coefficient of each monomial from the corners
     modes = np.array([np.prod(corners**p, axis=1) / 8 for p in powers])
@@ -221,14 +213,9 @@ class HeldBody:
 
     def solve(
         self,
-        loads: NDArray[Any] | NodalValues,
-        given: NDArray[Any] | NodalValues | None = None,
-        start: NDArray[Any] | None = None,
-        *,
-        residual: float = 1e-6,
-        energy: float = 0.0,
-        iterations: int = 1000,
-    ) -> Loaded:
+        loads: NDArray[Any] | NodalValues, given: NDArray[Any] | NodalValues | None = None,
+        start: NDArray[Any] | None = None, *, residual: float = 1e-6, energy: float = 0.0, iterations: int = 1000,
+    ) -> Loaded:  # fmt: skip
         """Displacements under nodal forces.
 
         Parameters
@@ -254,25 +241,19 @@ class HeldBody:
         dtype, fixed = self._free.c.dtype, self.fixed.reshape(-1)
         pulled = loads if isinstance(loads, NodalValues) else NodalValues.of(loads)
         moved = given if isinstance(given, NodalValues | None) else NodalValues.of(np.where(self.fixed, given, 0))
-        b, p = (np.empty(fixed.size, dtype) for _ in range(2))
-
-        def held() -> NDArray[Any]:
-            made = np.zeros(fixed.size, dtype)
-            if moved is not None:
-                made[moved.at] = moved.values
-            return made
+        b, p, u = np.empty(fixed.size, dtype), np.empty(fixed.size, dtype), np.zeros(fixed.size, dtype)
+        if moved is not None:
+            u[moved.at] = moved.values
 
         def left_over(u: NDArray[Any]) -> float:
+            b[:] = 0
             if u.any():
                 self._free.apply(APPLY, u, u, b, self._work)
                 np.negative(b, out=b)
-            else:
-                b[:] = 0
             np.add.at(b, pulled.at, pulled.values.astype(dtype))
             b[fixed] = 0
             return float(np.sqrt(dot(b, b)))
 
-        u = held()
         whole = first = left_over(u)
         if start is not None:  # measured against what there is without the guess
             np.copyto(u, start.reshape(-1), where=~fixed, casting="same_kind")
@@ -298,10 +279,7 @@ class HeldBody:
 
 
 @jit
-def _mean_and_second(
-    u: NDArray[Any], solid: Bools, strains: F64, weights: F64,
-    mean: F64, second: F64,
-) -> None:  # fmt: skip
+def _mean_and_second(u: NDArray[Any], solid: Bools, strains: F64, weights: F64, mean: F64, second: F64) -> None:
     nz, ny, nx = solid.shape
     v, e = np.empty(24), np.empty(6)
     at = 0

@@ -6,8 +6,17 @@ import pytest
 import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.design.atlas import DATA, LENGTH_POWERS, PROPERTIES, Atlas, searched, spread
-from sppm_pipeline.features.design.families import FAMILIES, PORES, configuration
+from sppm_pipeline.features.design.atlas import (
+    DATA,
+    FAMILIES,
+    LENGTH_POWERS,
+    PORES,
+    PROPERTIES,
+    Atlas,
+    configuration,
+    searched,
+    spread,
+)
 from sppm_pipeline.features.design.numerics.surrogate import covariance, fitted, predicted
 
 QUERY = "E_relative > 0.05, porosity = 0.7, permeability * surface^2 > 0.01"
@@ -105,6 +114,7 @@ def test_twice_the_cell_has_twice_the_lengths():
         ("stiffness > 0.1", "there is no name 'stiffness'"),
         ("strut > 0.3 mm", "the size of the cell is missing"),
         ("porosity = 0.99", "no family has the porosity"),
+        ("porosity = 0.7, porosity = 0.8", "no design of the atlas"),
     ],
 )
 def test_queries_that_can_not_be_answered_say_why(query, message):
@@ -112,6 +122,9 @@ def test_queries_that_can_not_be_answered_say_why(query, message):
         sppm.find(query)
     with pytest.raises(ConfigError, match="`cell` is"):
         sppm.find("E_relative > 0", cell="four")
+    for wrong in ({"cell": "-4 mm"}, {"cell": "0 mm"}, {"count": 0}, {"count": -2}):
+        with pytest.raises(ConfigError, match="should be above 0"):
+            sppm.find("E_relative > 0", **wrong)
 
 
 def test_the_verb_prints_designs_and_writes_configurations_that_check(tmp_path, capsys):

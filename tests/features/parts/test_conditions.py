@@ -59,6 +59,14 @@ def test_a_second_mesh_is_a_region():
         region_of("near", PART)
 
 
+@pytest.mark.parametrize(("text", "free"), [("group left on top", ()), ("x z on group left on top", (1,))])
+def test_names_of_groups_may_have_any_words(text, free):
+    named = SurfaceMesh(PART.vertices, PART.faces, groups=(("left on top", 2, 4),))
+    held = held_of(text, named)
+    assert held.values == tuple(None if axis in free else 0.0 for axis in range(3))
+    assert held.region.triangles.shape == (2, 3, 3)
+
+
 @pytest.mark.parametrize(
     ("read", "words"),
     [
@@ -161,10 +169,10 @@ def test_pieces_apart_are_refused_or_left_out():
     fixed = applied(body, load, np.ones(solid.shape, np.float32)).fixed
     with pytest.raises(DesignError, match="in 2 pieces, and 5% of it hangs loose"):
         held_solid(body, load, fixed, drop=False)
-    held = held_solid(body, load, fixed, drop=True)
-    assert held.loose == pytest.approx(2 / 39)
-    assert not held.solid[:, :, 38:].any()
-    assert held.solid[:, :, :37].all()
+    held, loose = held_solid(body, load, fixed, drop=True)
+    assert loose == pytest.approx(2 / 39)
+    assert not held[:, :, 38:].any()
+    assert held[:, :, :37].all()
 
 
 def test_elements_of_a_mesh_fill_its_volume():

@@ -7,10 +7,9 @@ from scipy.sparse.linalg import spsolve
 
 from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import SharedBody
-from sppm_pipeline.features.parts.numerics.density_law import DensityLaw, cubic_mean, density_law, solid_constants
-from sppm_pipeline.features.parts.numerics.density_search import ConeFilter
+from sppm_pipeline.features.parts.material import DensityLaw, cubic_mean, density_law, solid_constants
 from sppm_pipeline.features.parts.numerics.voxel_body import VoxelBody
-from sppm_pipeline.features.parts.stages.optimize_density import OptimizeDensity, Problem
+from sppm_pipeline.features.parts.stages.optimize_density import ConeFilter, OptimizeDensity, Problem
 from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases, condition_of, held_of
 from sppm_pipeline.method.nouns.maps import Place
 from sppm_pipeline.method.part.primitive_meshes import box_mesh

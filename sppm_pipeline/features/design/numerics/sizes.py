@@ -33,44 +33,30 @@ SCAN = 0.02
 
 
 @dataclass
-class PhaseSizes:
-    """Sizes of solid and void at a porosity, in cell sizes."""
-
-    solid: LimitSizes
-    void: LimitSizes
-
-    @property
-    def ratio(self) -> float:
-        """Mean size of the solid over that of the void."""
-        return self.solid.mean / self.void.mean
-
-
-@dataclass
 class Draws:
-    """Sampled fields of the same draws on two grids, cut at any porosity: every evaluation sees the same pores.
+    """Sampled fields of the same draws on two grids, cut at any porosity: every evaluation sees the same pores."""
 
-    Attributes
-    ----------
-    fine, coarse : sequence of (n, n, n) float32
-        Values of periodic cells, solid below a level; the coarse grids have about half as many samples along an edge.
-    """
-
-    fine: Sequence[NDArray[np.float32]]
-    coarse: Sequence[NDArray[np.float32]]
-    known: dict[float, PhaseSizes] = field(default_factory=dict)
+    fine: Sequence[NDArray[np.float32]]  # values (n, n, n) of periodic cells, solid below a level
+    coarse: Sequence[NDArray[np.float32]]  # about half as many samples along an edge
+    known: dict[float, tuple[LimitSizes, ...]] = field(default_factory=dict)
 
     def coarse_ratio(self, porosity: float) -> float:
         """Ratio of solid to void on the coarse grid, within some percent, but quick: balls are a voxel too small."""
         solid, void = (_thickness(phases) for phases in _phases(self.coarse, porosity))
         return float((solid[solid > 0].mean(dtype=np.float64) + 1) / (void[void > 0].mean(dtype=np.float64) + 1))
 
-    def sizes(self, porosity: float) -> PhaseSizes:
-        """Sizes in the limit of fine grids."""
+    def ratio(self, porosity: float) -> float:
+        """Mean size of the solid over that of the void, in the limit of fine grids."""
+        solid, void = self.sizes(porosity)
+        return solid.mean / void.mean
+
+    def sizes(self, porosity: float) -> tuple[LimitSizes, ...]:
+        """Sizes of solid and void in the limit of fine grids, in cell sizes."""
         if porosity not in self.known:
             spacings = (1 / self.fine[0].shape[0], 1 / self.coarse[0].shape[0])
             fine = [_thickness(phases) for phases in _phases(self.fine, porosity)]
             coarse = [_thickness(phases) for phases in _phases(self.coarse, porosity)]
-            self.known[porosity] = PhaseSizes(*(limit_sizes(f, c, spacings) for f, c in zip(fine, coarse, strict=True)))
+            self.known[porosity] = tuple(limit_sizes(f, c, spacings) for f, c in zip(fine, coarse, strict=True))
         return self.known[porosity]
 
     def connected(self, porosity: float) -> bool:
@@ -97,7 +83,7 @@ class Draws:
         errors: dict[float, float] = {}
         at = start
         while len(errors) < CORRECTIONS and at not in errors:
-            errors[at] = math.log(self.sizes(at).ratio / ratio)
+            errors[at] = math.log(self.ratio(at) / ratio)
             if abs(errors[at]) < CLOSE:
                 return at
             # the ratio falls: too large a one needs more porosity
@@ -139,7 +125,7 @@ class Draws:
         densest, lightest = (
             [float(steps[middle]), *takewhile(self.connected, map(float, side))][-1] for side in (below, above)
         )
-        return self.sizes(lightest).ratio, self.sizes(densest).ratio
+        return self.ratio(lightest), self.ratio(densest)
 
 
 def _phases(values: Sequence[NDArray[np.float32]], porosity: float) -> tuple[list[NDArray[np.uint8]], ...]:

@@ -22,25 +22,13 @@ COVERED = 0.9
 
 
 class Surrogate(NamedTuple):
-    """A fitted property of a family.
+    """A fitted property of a family."""
 
-    Attributes
-    ----------
-    weights : (n,) float64
-        Of the draws.
-    settings : (3,) float64
-        One of `LENGTHS`, `ROUGH` and `NOISE`.
-    mean, deviation : float
-        Of the logarithm.
-    band : float
-        Half width of the band of the logarithm.
-    """
-
-    weights: F64
-    settings: F64
-    mean: float
+    weights: F64  # of the draws, (n,)
+    settings: F64  # one of `LENGTHS`, `ROUGH` and `NOISE`, (3,)
+    mean: float  # of the logarithm
     deviation: float
-    band: float
+    band: float  # half width
 
 
 def covariance(a: F64, b: F64, length: float, rough: float) -> F64:
@@ -53,16 +41,9 @@ def covariance(a: F64, b: F64, length: float, rough: float) -> F64:
 
 
 def fitted(points: F64, values: F64, designs: F64) -> Surrogate:
-    """Fit the logarithms of a property.
+    """Fit the logarithms (n,) of a property at parameters (n, d), from 0 to 1.
 
-    Parameters
-    ----------
-    points : (n, d) float64
-        Parameters of the draws, from 0 to 1.
-    values : (n,) float64
-        Logarithms.
-    designs : (n,) int
-        Number of the design of each draw; residuals are those of a design that was left out with all its draws.
+    Residuals are those of a design, of which `designs` has the number (n,), that was left out with all its draws.
     """
     mean, deviation = float(values.mean()), float(max(values.std(), 1e-9))
     y = (values - mean) / deviation

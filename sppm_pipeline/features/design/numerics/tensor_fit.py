@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F64
-from sppm_pipeline.services.elastic.voigt import PAIRS, mandel, rotated, tensor
+from sppm_pipeline.services.elastic.directional import young_along
+from sppm_pipeline.services.elastic.voigt import mandel, rotated, tensor
 
 MAX_STRETCH = 4.0
 """Largest of the stretches a and b: beyond, cells of some pores across have two along their shortest edge."""
@@ -39,31 +40,19 @@ _TURN = 1e-4
 
 
 class Design(NamedTuple):
-    """A member of the family.
-
-    Attributes
-    ----------
-    dials : tuple of float
-    stretch : (3,) float64
-        Along the axes of the recipe; their product is 1.
-    rotation : (3, 3) float64
-        Takes vectors of the recipe to where they point in the part.
-    distance : float
-        Between its stiffness and the target, over the norm of the target.
-    """
+    """A member of the family."""
 
     dials: tuple[float, ...]
-    stretch: F64
-    rotation: F64
-    distance: float
+    stretch: F64  # along the axes of the recipe, (3,); their product is 1
+    rotation: F64  # takes vectors of the recipe to where they point in the part
+    distance: float  # between its stiffness and the target, over the norm of the target
 
 
 def orthotropic(stiffness: F64) -> F64:
     """The part of a stiffness that mirrors at the planes of the axes leave: that of the mean over mirrored draws."""
-    found = np.zeros((6, 6))
+    found = np.diag(np.diag(stiffness))
     found[:3, :3] = stiffness[:3, :3]
-    found[range(3, 6), range(3, 6)] = np.diag(stiffness)[3:]
-    return (found + found.T) / 2
+    return np.asarray((found + found.T) / 2)
 
 
 def stretch_of(logs: Sequence[float] | F64) -> F64:
@@ -83,38 +72,20 @@ def principal_frame(stiffness: F64) -> F64:
     """A rotation whose columns are the principal axes of ``C_iikl``, from the softest to the stiffest (Cowin and
     Mehrabadi 1987: those of an orthotropic tensor are its axes)."""
     _, vectors = np.linalg.eigh(np.einsum("iikl->kl", tensor(stiffness)))
-    moduli = [1 / _along(stiffness, vectors[:, k]) for k in range(3)]
-    frame = vectors[:, np.argsort(moduli, kind="stable")]
+    frame = vectors[:, np.argsort(young_along(stiffness, vectors.T), kind="stable")]
     frame[:, 2] *= np.sign(np.linalg.det(frame))
     return np.asarray(frame, np.float64)
 
 
-def _along(stiffness: F64, axis: F64) -> float:
-    """Compliance of a bar along an axis."""
-    v = np.array([axis[i] * axis[j] for i, j in PAIRS])
-    return float(v @ np.linalg.pinv(stiffness) @ v)
-
-
 class Fit:
-    """The search of the design whose stiffness is nearest to a target.
-
-    Parameters
-    ----------
-    target : (6, 6) float64
-        Voigt.
-    weights : (6,) float64
-        Of the rows in Voigt order; an entry counts by the product of both.
-    low, high : sequence of float
-        Bounds of the dials.
-    """
+    """The search of the design whose stiffness is nearest to a target (6, 6), with weights of its rows (6,)."""
 
     def __init__(self, target: F64, weights: F64, low: Sequence[float], high: Sequence[float]) -> None:
         self._scale = np.outer(weights, weights)
         self._target = mandel(target) * self._scale
         self._norm = float(np.linalg.norm(self._target))
         self._frame = principal_frame(target)
-        own = rotated(target, self._frame.T)
-        moduli = 1 / np.diag(np.linalg.pinv(own))[:3]
+        moduli = young_along(target, self._frame.T)
         start = np.log(np.maximum(moduli / moduli[0], 1.0)) / SLOPE
         reach = math.log(MAX_STRETCH)
         self.low = np.array([*low, -reach, -reach])
@@ -147,16 +118,12 @@ class Fit:
 
     def first(self, scanned: Sequence[tuple[tuple[float, ...], F64]]) -> F64:
         """Where to start: the dials of unstretched structures whose norm is nearest, between two of them."""
-        norms = [math.log(float(np.linalg.norm(mandel(c) * self._scale))) for _, c in scanned]
-        goal = math.log(self._norm)
-        best = min(range(len(norms)), key=lambda k: abs(norms[k] - goal))
+        off = [math.log(float(np.linalg.norm(mandel(c) * self._scale)) / self._norm) for _, c in scanned]
+        best = min(range(len(off)), key=lambda k: abs(off[k]))
         at = np.array(scanned[best][0])
-        for k, norm in enumerate(norms):
-            if (norm - goal) * (norms[best] - goal) < 0:
-                share = (goal - norms[best]) / (norm - norms[best])
-                near = at + share * (np.array(scanned[k][0]) - np.array(scanned[best][0]))
-                return np.concatenate([near, self.start])
-        return np.concatenate([at, self.start])
+        other = next((k for k, one in enumerate(off) if one * off[best] < 0), best)
+        share = off[best] / (off[best] - off[other]) if other != best else 0.0
+        return np.concatenate([at + share * (np.array(scanned[other][0]) - at), self.start])
 
     def design(self, x: F64, stiffness: F64, rotation: F64 | None = None) -> Design:
         """The design at parameters of known stiffness, turned as well as it can be."""
@@ -208,10 +175,7 @@ class Fit:
         assert self._slopes is not None
         r = self.residual(stiffness, rotation)
         size = np.maximum(self.high - self.low, 1e-12)
-        own = [
-            (mandel(rotated(column.reshape(6, 6), rotation)) * self._scale).ravel() / self._norm
-            for column in self._slopes.T
-        ]
+        own = [(mandel(rotated(s.reshape(6, 6), rotation)) * self._scale).ravel() / self._norm for s in self._slopes.T]
         slopes = np.concatenate([np.stack(own, axis=1) * size, self._turning(stiffness, rotation, r)], axis=1)
         # a little damping where slopes are nearly alike
         damped = np.concatenate([slopes, 0.01 * np.eye(slopes.shape[1])])

@@ -123,8 +123,7 @@ class DesignSizes(Stage):
         porosity = cells.porosity_for(strut / pore)
         if porosity is None or not cells.connected(porosity):
             raise self._unreachable(context, recipe, cells)
-        found = cells.sizes(porosity)
-        solid, void = found.solid, found.void
+        solid, void = cells.sizes(porosity)
         thinner = min(solid.mean, void.mean)
         if thinner * n < MIN_VOXELS_ACROSS:
             context.warn(

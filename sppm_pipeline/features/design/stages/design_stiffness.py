@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -25,16 +25,15 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.built_in import stage_class
+from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit, interval, orthotropic, stretch_of
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
-from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, options_at, varied_option
+from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
+from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_porosity
 from sppm_pipeline.nouns.size import sum_of
 from sppm_pipeline.services.arrays import F64
+from sppm_pipeline.services.elastic.voigt import mandel, rotated
 from sppm_pipeline.services.grid import cell_centers
-
-if TYPE_CHECKING:
-    from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit
-    from sppm_pipeline.method.families.tuner import Varied
 
 SCANNED = (0.0, 0.5, 1.0)
 """Shares of the range of the first dial at which unstretched cells are homogenized to begin with."""
@@ -86,14 +85,12 @@ class DesignStiffness(Stage):
         None, help="shear moduli yz, xz and xy; if omitted, of a single E and nu those of an isotropic material",
         minimum=1e-9, maximum=1e9,
     )  # fmt: skip
-    young: float = options.young(
-        1.0, note="of the solid, in the unit of the target", above=None, minimum=1e-9, maximum=1e9
-    )
+    young: float = options.young(1.0, note="of the solid, in the unit of the target", above=None, minimum=1e-9,
+                                 maximum=1e9)  # fmt: skip
     poisson: float = options.poisson(0.3, note="of the solid", above=None, below=None, minimum=-0.9, maximum=0.49)
     porosity: float | None = options.porosity(None, note="that is kept; found too if omitted, within `max_density`")
-    max_density: float | None = option(
-        None, help="largest share of the solid, where no porosity is given", above=0, below=1
-    )
+    max_density: float | None = option(None, help="largest share of the solid, where no porosity is given", above=0,
+                                       below=1)  # fmt: skip
     vary: tuple[str, ...] = option(("struts",), help=f"{VARY}; any number of dials, or none")
     low: tuple[float, ...] = option((0.0,), help=f"{LOW}; of each dial", minimum=-1e15, maximum=1e15)
     high: tuple[float, ...] = option((0.9,), help=f"{HIGH}; of each dial", minimum=-1e15, maximum=1e15)
@@ -106,9 +103,8 @@ class DesignStiffness(Stage):
     )
     search_draws: int = option(2, help="draws whose mean is brought to the target at first", minimum=1, maximum=50)
     draws: int = options.draws(8, note="whose mean is the result", maximum=1000)
-    resolution: int = options.resolution(
-        56, note="of the result; the search takes three quarters", minimum=24, maximum=256
-    )
+    resolution: int = options.resolution(56, note="of the result; the search takes three quarters", minimum=24,
+                                         maximum=256)  # fmt: skip
 
     def check_options(self) -> None:
         """A target, a porosity, as many bounds as dials, and weights."""
@@ -166,11 +162,8 @@ class DesignStiffness(Stage):
             found = np.loadtxt(path, delimiter=",", ndmin=2)
         except (OSError, ValueError) as error:
             raise InputError(f"{path} is no table of numbers: {error}", hint="six rows of six, with commas") from None
-        if (
-            found.shape != (6, 6)
-            or not np.isfinite(found).all()
-            or np.abs(found - found.T).max() > 1e-3 * np.abs(found).max()
-        ):
+        square = found.shape == (6, 6) and bool(np.isfinite(found).all())
+        if not square or np.abs(found - found.T).max() > 1e-3 * np.abs(found).max():
             raise InputError(f"{path} holds no symmetric 6 x 6 matrix")
         found = (found + found.T) / 2
         if np.linalg.eigvalsh(found)[0] <= 0:
@@ -200,8 +193,6 @@ class DesignStiffness(Stage):
 
     def run(self, context: Context, recipe: Recipe) -> StiffnessDesign:
         """Scan the first dial, search on a few draws, correct and measure on all."""
-        from sppm_pipeline.features.design.numerics.tensor_fit import Fit, stretch_of
-
         target = self.wanted()
         varied = [varied_option(recipe, name) for name in self.vary]
         free = self.porosity is None
@@ -211,8 +202,7 @@ class DesignStiffness(Stage):
         cells = _Cells(self, context, recipe, varied)
 
         def searched(x: F64) -> F64:
-            found: F64 = cells.mean(x[:-2], stretch_of(x[-2:]), self.search_draws, self._coarse)
-            return found
+            return cells.mean(x[:-2], stretch_of(x[-2:]), self.search_draws, self._coarse)
 
         middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
         scan = [(a + share * (b - a), *middle[1:]) for share in SCANNED for a, b in zip(low[:1], high[:1], strict=True)]
@@ -227,8 +217,6 @@ class DesignStiffness(Stage):
 
     def _corrected(self, fit: Fit, cells: _Cells, x: F64) -> tuple[F64, Design, F64, float]:
         """The better one of what was found and of a step from it by the slopes known, each measured on all draws."""
-        from sppm_pipeline.features.design.numerics.tensor_fit import orthotropic, stretch_of
-
         best: tuple[F64, Design, F64, float] | None = None
         for _ in range(2):
             draws, bars = cells.each(x[:-2], stretch_of(x[-2:]), self.draws, self.resolution)
@@ -243,9 +231,6 @@ class DesignStiffness(Stage):
     def _report(
         self, recipe: Recipe, fit: Fit, x: F64, near: Design, draws: F64, bar: float, target: F64
     ) -> StiffnessDesign:
-        from sppm_pipeline.features.design.numerics.tensor_fit import interval, orthotropic
-        from sppm_pipeline.services.elastic.voigt import mandel, rotated
-
         turned = np.array([rotated(c, near.rotation) for c in draws])
         _, of_mean, of_draw = interval(turned)
         own = rotated(target, near.rotation.T)
@@ -283,8 +268,6 @@ class _Cells:
 
     def mean(self, dials: Sequence[float] | F64, stretch: F64, draws: int, resolution: int) -> F64:
         """Mean stiffness along the axes of the recipe, without what mirrored draws would cancel."""
-        from sppm_pipeline.features.design.numerics.tensor_fit import orthotropic
-
         return orthotropic(self.each(dials, stretch, draws, resolution)[0].mean(0))
 
     def each(self, dials: Sequence[float] | F64, stretch: F64, draws: int, resolution: int) -> tuple[F64, list[float]]:
@@ -307,8 +290,6 @@ class _Cells:
         return np.array(found), bars
 
     def _cell(self, dials: tuple[float, ...], draw: int) -> ScalarField:
-        from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_porosity
-
         key = (dials, draw)
         if (known := self._made.get(key)) is not None:
             return known
@@ -330,6 +311,4 @@ class _Cells:
             made = made.cut_at(cut_for_porosity(made.sample(grid, threads), porosity).level)
         if len(self._made) > 4 * self._stage.draws:
             self._made.pop(next(iter(self._made)))
-        found: ScalarField = made
-        self._made[key] = found
-        return found
+        return self._made.setdefault(key, made)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.nouns.conditions import AXES, Condition, LoadCase, Region
-from sppm_pipeline.numerics import VOXEL_FACES
+from sppm_pipeline.numerics import VOXEL_FACES, node_sums
 from sppm_pipeline.services.elastic.loaded import NodalValues
 
 REACH, PLANE_REACH = 1.0, 0.75
@@ -26,20 +26,11 @@ MOTIONS = ("move along x", "move along y", "move along z", "turn about x", "turn
 
 
 class VoxelBody(NamedTuple):
-    """Voxels of a part.
+    """Voxels of a part."""
 
-    Attributes
-    ----------
-    solid : (nz, ny, nx) bool
-    edges : (hx, hy, hz)
-        Of a voxel, mm.
-    origin : (x, y, z)
-        Low corner of the first voxel, mm.
-    """
-
-    solid: NDArray[np.bool_]
-    edges: tuple[float, float, float]
-    origin: tuple[float, float, float]
+    solid: NDArray[np.bool_]  # (nz, ny, nx)
+    edges: tuple[float, float, float]  # of a voxel along x, y, z, mm
+    origin: tuple[float, float, float]  # low corner of the first voxel, mm
 
     @property
     def nodes(self) -> tuple[int, int, int]:
@@ -54,11 +45,12 @@ class VoxelBody(NamedTuple):
 
     def used(self) -> NDArray[np.bool_]:
         """Nodes at a corner of a solid voxel."""
-        found = np.zeros(self.nodes, bool)
-        nz, ny, nx = self.solid.shape
-        for a in range(8):
-            found[(a >> 2) : nz + (a >> 2), (a >> 1 & 1) : ny + (a >> 1 & 1), (a & 1) : nx + (a & 1)] |= self.solid
-        return found
+        return np.asarray(at_nodes(self.solid.view(np.uint8)) > 0)
+
+
+def at_nodes(values: NDArray[Any]) -> NDArray[Any]:
+    """Sums over the voxels (nz, ny, nx) around each node, (nz + 1, ny + 1, nx + 1)."""
+    return node_sums(np.pad(values, ((0, 1),) * 3))
 
 
 class Faces(NamedTuple):
@@ -87,8 +79,7 @@ def exposed_faces(body: VoxelBody, region: Region | None = None) -> Faces:
     h, low = np.array(body.edges), np.array(body.origin)
     for beyond, corners in VOXEL_FACES:
         axis = int(np.flatnonzero(beyond)[0])
-        plane = region is not None and region.kind == "plane"
-        if plane and region is not None and axis != region.axis:
+        if region is not None and region.kind == "plane" and axis != region.axis:
             continue
         x, y, z = beyond
         for first in range(0, nz, SLAB):
@@ -97,7 +88,7 @@ def exposed_faces(body: VoxelBody, region: Region | None = None) -> Faces:
             k, j, i = np.nonzero(body.solid[first:last] & ~neighbor)
             k += first
             if region is not None:
-                reach = PLANE_REACH * h[axis] if plane else REACH * float(h.max())
+                reach = PLANE_REACH * h[axis] if region.kind == "plane" else REACH * float(h.max())
                 centers = (np.stack([i, j, k], axis=1) + 0.5 + 0.5 * np.array(beyond)) * h + low
                 near = region.distances(centers) <= reach * (1 + 1e-9)
                 k, j, i = k[near], j[near], i[near]
@@ -118,24 +109,12 @@ def nodes_in(body: VoxelBody, region: Region, within: float) -> NDArray[np.int64
 
 
 class Applied(NamedTuple):
-    """A load case on a body.
+    """A load case on a body."""
 
-    Attributes
-    ----------
-    fixed : (3, nz + 1, ny + 1, nx + 1) bool
-        Displacements that are given.
-    moved : NodalValues
-        Those that are not zero, mm.
-    pulled : NodalValues
-        Nodal forces, N.
-    regions : tuple of (Condition, Faces)
-        What each condition has got of the surface.
-    """
-
-    fixed: NDArray[np.bool_]
-    moved: NodalValues
-    pulled: NodalValues
-    regions: tuple[tuple[Condition, Faces], ...]
+    fixed: NDArray[np.bool_]  # displacements that are given, (3, nz + 1, ny + 1, nx + 1)
+    moved: NodalValues  # those that are not zero, mm
+    pulled: NodalValues  # nodal forces, N
+    regions: tuple[tuple[Condition, Faces], ...]  # what each condition has got of the surface
 
     @property
     def total(self) -> NDArray[np.float64]:
@@ -147,10 +126,7 @@ class Applied(NamedTuple):
 def applied(body: VoxelBody, case: LoadCase, mass: NDArray[np.floating]) -> Applied:
     """Put the conditions of a case on a body whose voxels have a mass, (nz, ny, nx) g.
 
-    Raises
-    ------
-    DesignError
-        If a region touches nothing, or conditions contradict each other.
+    A `DesignError` says that a region touches nothing, or that conditions contradict each other.
     """
     count = int(np.prod(body.nodes))
     # unknowns, values, and the condition that they come from, in its order
@@ -187,14 +163,8 @@ def applied(body: VoxelBody, case: LoadCase, mass: NDArray[np.floating]) -> Appl
             push = np.repeat(-area * faces.side * float(one.values[0] or 0), 4)
             loads.append(NodalValues(np.repeat(faces.axis, 4) * count + corners, push))
     if any(case.gravity):
-        weight = np.zeros(body.nodes)
-        nz, ny, nx = body.solid.shape
-        for a in range(8):
-            weight[(a >> 2) : nz + (a >> 2), (a >> 1 & 1) : ny + (a >> 1 & 1), (a & 1) : nx + (a & 1)] += mass / 8e3
-        at = np.flatnonzero(weight)
-        loads += [
-            NodalValues(axis * count + at, weight.reshape(-1)[at] * g) for axis, g in enumerate(case.gravity) if g
-        ]  # fmt: skip
+        grams = NodalValues.of(at_nodes(mass / 8e3))
+        loads += [NodalValues(axis * count + grams.at, grams.values * g) for axis, g in enumerate(case.gravity) if g]
     fixed, moved = _held(body, case, held)
     at, back = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.at for one in loads)]), return_inverse=True)
     values = np.concatenate([np.zeros(0), *(one.values for one in loads)])
@@ -214,9 +184,9 @@ def _held(
 ) -> tuple[NDArray[np.bool_], NodalValues]:
     """Which displacements are given, and those that are not zero; conditions that contradict each other are refused."""
     fixed = np.zeros((3, *body.nodes), bool)
-    at = np.concatenate([np.zeros(0, np.int64), *(one[0] for one in held)])
-    values = np.concatenate([np.zeros(0), *(np.full(len(one[0]), one[1]) for one in held)])
-    owner = np.concatenate([np.zeros(0, np.int64), *(np.full(len(one[0]), one[2]) for one in held)])
+    at = np.concatenate([np.zeros(0, np.int64), *(one for one, _, _ in held)])
+    counts = np.array([len(one) for one, _, _ in held], int)
+    values, owner = (np.repeat([one[k] for one in held], counts) for k in (1, 2))
     order = np.argsort(at, kind="stable")
     at, values, owner = at[order], values[order], owner[order]
     clash = np.flatnonzero((at[1:] == at[:-1]) & (np.abs(np.diff(values)) > 1e-12))
@@ -246,20 +216,12 @@ def _check_acts(case: LoadCase, one: Condition, fixed: NDArray[np.bool_], pulled
             )
 
 
-class Held(NamedTuple):
-    """The solid that a case holds, and the share of it that was loose."""
+def held_solid(
+    body: VoxelBody, case: LoadCase, fixed: NDArray[np.bool_], *, drop: bool
+) -> tuple[NDArray[np.bool_], float]:
+    """The pieces of the body that are held against all rigid motions, and the share that is not and left out.
 
-    solid: NDArray[np.bool_]
-    loose: float
-
-
-def held_solid(body: VoxelBody, case: LoadCase, fixed: NDArray[np.bool_], *, drop: bool) -> Held:
-    """The pieces of the body that are held against all rigid motions; others are left out, or refused without `drop`.
-
-    Raises
-    ------
-    DesignError
-        If a piece can move freely, with the motions that are free.
+    Without `drop` that is refused, as is a largest piece that moves: a `DesignError` names the motions that are free.
     """
     from scipy.ndimage import label
 
@@ -274,11 +236,8 @@ def held_solid(body: VoxelBody, case: LoadCase, fixed: NDArray[np.bool_], *, dro
         size = float(np.linalg.norm(np.array(body.edges) * body.solid.shape[::-1]))
         x, y, z = ((places - middle) / size).T
         zero, one = np.zeros(len(x)), np.ones(len(x))
-        rows = [
-            np.stack([one, zero, zero, zero, z, -y], 1),
-            np.stack([zero, one, zero, -z, zero, x], 1),
-            np.stack([zero, zero, one, y, -x, zero], 1),
-        ]
+        motions = (one, zero, zero, zero, z, -y), (zero, one, zero, -z, zero, x), (zero, zero, one, y, -x, zero)
+        rows = [np.stack(motion, 1) for motion in motions]
         # a corner of several pieces holds all of them
         around = np.zeros((len(nodes), 8), labels.dtype)
         for a in range(8):
@@ -295,7 +254,7 @@ def held_solid(body: VoxelBody, case: LoadCase, fixed: NDArray[np.bool_], *, dro
     loose = float(sizes[~held].sum() / max(1, sizes.sum()))
     largest = int(np.argmax(sizes))
     if held[largest] and (not loose or (drop and loose < MAX_LOOSE)):
-        return Held(np.concatenate([[False], held])[labels], loose)
+        return np.concatenate([[False], held])[labels], loose
     if held.any() and held[largest]:
         raise DesignError(
             f"case {case.name!r}: the part is in {count} pieces, and {loose:.0%} of it hangs loose: nothing holds it",

@@ -24,12 +24,11 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.features.parts.bodies import SharedBody
-from sppm_pipeline.features.parts.material import LoadedPart, middles_of
-from sppm_pipeline.features.parts.numerics.density_law import DensityLaw
-from sppm_pipeline.features.parts.numerics.density_search import ConeFilter, updated
+from sppm_pipeline.features.parts.material import DensityLaw, LoadedPart, middles_of
 from sppm_pipeline.features.parts.solving import Prepared, prepared, solved, works
 from sppm_pipeline.method.nouns.conditions import LoadCases, region_of
 from sppm_pipeline.method.nouns.maps import Grading, ImageLaw
+from sppm_pipeline.numerics import node_sums
 from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of
 
 EVERY = 10
@@ -40,6 +39,12 @@ CHANGE = 0.01
 
 SETTLED, GAIN = 5, 1e-3
 """The search ends, too, when so many steps lower the compliance by no more than this part."""
+
+MOVE = 0.2
+"""Largest change of a density in a step."""
+
+HALVINGS = 60
+"""Of the multiplier: to the last bit."""
 
 
 class State(NamedTuple):
@@ -162,10 +167,9 @@ class OptimizeDensity(LoadedPart):
                 break
             gain, cost = cone.back(state.gain), cone.back(problem.masses)
             enough = self._enough(problem, cone, state, design, gain, target)
-            found = updated(design, gain, cost, bounds, enough)
-            design = found.design
+            before, design = design, updated(design, gain, cost, bounds, enough)
             settled = len(history) > SETTLED and history[-1 - SETTLED] < (1 + GAIN) * history[-1] and target is not None
-            if found.change < CHANGE or settled:
+            if np.abs(design - before).max() < CHANGE or settled:
                 state = problem.solved(context, cone.mean(design))
                 history.append(state.compliance)
                 break
@@ -234,19 +238,7 @@ class OptimizeDensity(LoadedPart):
 
 
 class Problem:
-    """A homogenized part under its cases, as a function of its densities.
-
-    Parameters
-    ----------
-    stage : OptimizeDensity
-    law : DensityLaw
-    shared : SharedBody
-    skin : (m,)
-        Share of each element that is skin.
-    cases : LoadCases
-    dtype : float32 or float64
-        Of the solver.
-    """
+    """A homogenized part under its cases, as a function of its densities; of elements (m,) a share is skin."""
 
     def __init__(
         self, stage: LoadedPart, law: DensityLaw, shared: SharedBody, skin: NDArray[np.float64], cases: LoadCases,
@@ -256,11 +248,10 @@ class Problem:
         self.stage, self.law, self.shared, self.skin, self.cases = stage, law, shared, skin, cases
         voxel = stage.voxel_mass(shared.body.edges)
         share = shared.share[shared.body.solid].astype(np.float64)
-        self.bearing = np.ones(len(share))
         self.masses = voxel * share * (1 - skin)
         self.full = float(voxel * share.sum())
         self._skin_mass = float(voxel * (share * skin).sum())
-        self._share = share
+        self._slopes = share * (1 - skin)
         self._starts: dict[str, NDArray[Any]] = {}
         self._ready: list[Prepared] = []
         self.force = 1.0
@@ -272,15 +263,14 @@ class Problem:
     def solved(self, context: Context, density: NDArray[np.float64]) -> State:
         """Compliance of densities (m,), and how much a unit of each lowers it."""
         stage = self.stage
-        model = stage.model_of(self.shared, self.law, density, self.skin, self.bearing, self.dtype)
+        model = stage.model_of(self.shared, self.law, density, self.skin, 1.0, self.dtype)
         weightless = not any(any(case.gravity) for case in self.cases.cases)
         if not self._ready or not weightless:
             self._ready = [prepared(model, case, drop=False) for case in self.cases.cases]
-            self.force = sum(
-                one.case.weight * float(np.linalg.norm(one.applied.total)) for one in self._ready
-            ) or 1.0  # fmt: skip
+            forces = (one.case.weight * float(np.linalg.norm(one.applied.total)) for one in self._ready)
+            self.force = sum(forces) or 1.0
         exact = self.dtype == np.float64  # forces themselves, of which the error of an energy is of second order
-        slope = self._share * (1 - self.skin) * self.bearing * self.law.slope_at(density)
+        slope = self._slopes * self.law.slope_at(density)
         compliance, gain = 0.0, np.zeros(len(density))
         solver: HeldBody | None = None
         last: NDArray[np.bool_] | None = None
@@ -300,19 +290,65 @@ class Problem:
             # a displacement that is given stores less energy in a softer part, a load more
             compliance += one.case.weight * (loads - given)
             gain += one.case.weight * (slope * second).sum(axis=0)
-            if any(one.case.gravity):
-                gain -= one.case.weight * self._weight_gain(one, u)
+            if any(one.case.gravity):  # the work of its own weight, twice: it is load and displaced by it
+                pulled = node_sums(np.tensordot(np.array(one.case.gravity), u, 1))[1:, 1:, 1:][one.body.solid] / 8
+                gain -= one.case.weight * 2e-3 * self.masses * pulled
         return State(density, compliance, gain)
 
-    def _weight_gain(self, one: Prepared, u: NDArray[Any]) -> NDArray[np.float64]:
-        """By how much a unit of density raises the work of its own weight, twice: it is load and displaced by it."""
-        solid = one.body.solid
-        nz, ny, nx = solid.shape
-        mean = np.zeros((3, nz, ny, nx))
-        for a in range(8):
-            mean += u[:, (a >> 2) : nz + (a >> 2), (a >> 1 & 1) : ny + (a >> 1 & 1), (a & 1) : nx + (a & 1)] / 8
-        pulled = np.tensordot(np.array(one.case.gravity), mean, 1)[solid]
-        return np.asarray(2e-3 * self.masses * pulled)
+
+class ConeFilter:
+    """Means over the elements (nz, ny, nx) of a part, weighted by a cone of a radius in the unit of their edges.
+
+    Design variables are averaged before they become densities (Bruns and Tortorelli 2001): homogenization needs
+    densities that vary little over a cell, and patterns of single elements are stiff by an error of elements alone.
+    """
+
+    def __init__(self, solid: NDArray[np.bool_], edges: tuple[float, float, float], radius: float) -> None:
+        reach = [int(radius / h) for h in edges[::-1]]
+        z, y, x = np.meshgrid(
+            *(np.arange(-n, n + 1) * h for n, h in zip(reach, edges[::-1], strict=True)), indexing="ij"
+        )
+        self.kernel = np.maximum(radius - np.sqrt(x**2 + y**2 + z**2), 0.0)
+        self.solid = solid
+        self.total = self._summed(np.ones(np.count_nonzero(solid)))
+
+    def _summed(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        from scipy.ndimage import convolve
+
+        grid = np.zeros(self.solid.shape)
+        grid[self.solid] = values
+        return np.asarray(convolve(grid, self.kernel, mode="constant")[self.solid])
+
+    def mean(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Densities (m,) of design variables (m,)."""
+        return self._summed(values) / self.total
+
+    def back(self, slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives by design variables, from those by densities: the transpose, as the cone is symmetric."""
+        return self._summed(slopes / self.total)
+
+
+def updated(
+    design: NDArray[np.float64], gain: NDArray[np.float64], cost: NDArray[np.float64],
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]], enough: Callable[[NDArray[np.float64]], bool],
+) -> NDArray[np.float64]:  # fmt: skip
+    """The next design: variables times the root of gain over cost, times a multiplier (Bendsoe and Sigmund 2003, 1.2).
+
+    A unit of each (m,) gains so much of the compliance and costs so much mass; `enough` says whether a design has the
+    mass wanted, or is stiff enough, and is true of larger ones, too.
+    """
+    low, high = np.maximum(bounds[0], design - MOVE), np.minimum(bounds[1], design + MOVE)
+    ratio = np.sqrt(np.maximum(gain, 0) / np.maximum(cost, 1e-300))
+    scale = float(ratio.max()) or 1.0
+    ratio /= scale
+    least, most = 1e-6, 1e6
+    for _ in range(HALVINGS):
+        middle = float(np.sqrt(least * most))
+        if enough(np.clip(design * ratio * middle, low, high)):
+            most = middle
+        else:
+            least = middle
+    return np.clip(design * ratio * most, low, high)
 
 
 def _porosity_map(shared: SharedBody, density: NDArray[np.float64]) -> ImageLaw:
