@@ -134,8 +134,9 @@ def test_the_verb_prints_designs_and_writes_configurations_that_check(tmp_path, 
     assert all(word in printed for word in ("1. ", "E_relative", "candidates meet"))
     assert sorted(path.name for path in folder.iterdir()) == ["found_1.yaml", "found_2.yaml", "pareto.png"]
     assert main(["check", str(folder / "found_1.yaml")]) == 0
-    assert main(["find", QUERY, "--output", str(folder)]) != 0
-    assert "is not empty" in capsys.readouterr().err
+    for taken in (folder, folder / "found_1.yaml"):
+        assert main(["find", QUERY, "--output", str(taken)]) != 0
+        assert "is no empty folder" in capsys.readouterr().err
 
 
 def test_the_front_of_candidates_is_met_by_no_other():
