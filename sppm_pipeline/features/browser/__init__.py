@@ -23,22 +23,18 @@ def sppm_commands() -> dict[str, Command]:
     """The verbs of this feature."""
     return {
         "report": Command(
-            "write one HTML file that shows a run directory, to be mailed",
-            f"{__name__}.report.command:configure",
-            f"{__name__}.report.command:execute",
-            f"{__name__}.report.command:after_run",
+            "write one HTML file that shows a run directory, to be mailed", f"{__name__}.report.command:configure",
+            f"{__name__}.report.command:execute", f"{__name__}.report.command:after_run",
         ),
         "view": Command(
-            "show a run directory in the browser",
-            f"{__name__}.live.serving:configure",
+            "show a run directory in the browser", f"{__name__}.live.serving:configure",
             f"{__name__}.live.serving:execute",
         ),
         "studio": Command(
-            "design a cell in the browser, and save it as a configuration",
-            f"{__name__}.studio.server:configure",
+            "design a cell in the browser, and save it as a configuration", f"{__name__}.studio.server:configure",
             f"{__name__}.studio.server:execute",
         ),
-    }
+    }  # fmt: skip
 
 
 @hookimpl

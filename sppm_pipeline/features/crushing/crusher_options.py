@@ -27,8 +27,7 @@ class CrusherOptions(Stage):
     axis: str = options.axis("z")
     strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
     least_strain: float = options.least_strain(
-        0.2, note="a run that fails earlier is an error, later a warning and a curve that ends there",
-        minimum=0.01,
+        0.2, note="a run that fails earlier is an error, later a warning and a curve that ends there", minimum=0.01,
     )  # fmt: skip
     rate: float | str | None = option(
         None, help="speed of the plate over that of waves in a bar of the solid; auto halves it until nothing changes; "
@@ -48,10 +47,8 @@ class CrusherOptions(Stage):
     yield_stress: float | Table | tuple[Table, ...] = option(
         (),
         help="yield stress, or its table [[plastic strain, true stress], ...], or a table for each phase; an elastic "
-        "solid if empty",
-        minimum=0,
-        maximum=1e15,
-    )
+        "solid if empty", minimum=0, maximum=1e15,
+    )  # fmt: skip
     failure: str = option(
         "none",
         help="how the solid fails: j2, its yield stress falls beyond the last plastic strain of its table; rankine, it "

@@ -48,9 +48,8 @@ def candidates(offsets: tuple[int, ...]) -> Iterator[Candidate]:
 
 
 def search_gap(
-    interval: Callable[[Candidate], tuple[float, float] | None],
-    evaluate: Callable[[Candidate, float], tuple[float, Microstructure]], offsets: tuple[int, ...], target: float,
-    tolerance: float, max_evaluations: int,
+    interval: Callable[[Candidate], tuple[float, float] | None], evaluate: Callable[[Candidate, float],
+    tuple[float, Microstructure]], offsets: tuple[int, ...], target: float, tolerance: float, max_evaluations: int,
 ) -> tuple[GapFit | None, int]:  # fmt: skip
     """Try cells until the gap of one gives the porosity; returns the nearest one and the number of evaluations.
 

@@ -287,12 +287,10 @@ class Homogenizer(Stage):
     def solver_options(self, threads: int) -> dict[str, Any]:
         """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
         return {
-            "residual": self.residual or 0.0,
-            "tolerance": self.solver_tolerance if self.residual is None else 0.0,
-            "iterations": self.iterations,
-            "precision": np.float32 if self.precision == "single" else np.float64,
+            "residual": self.residual or 0.0, "tolerance": self.solver_tolerance if self.residual is None else 0.0,
+            "iterations": self.iterations, "precision": np.float32 if self.precision == "single" else np.float64,
             "threads": threads,
-        }
+        }  # fmt: skip
 
     def solver_warnings(self, solved: tuple[Solved, ...], precision: str) -> list[str]:
         """Warn of load cases that did not converge, or not in the requested precision."""

@@ -147,8 +147,6 @@ class DividedLayers:
         context = self._context
         tasks = slab_tasks(self._stack, *self._means, context.shared_folder())
         return find_islands(
-            self._stack,
-            tasks,
-            lambda tasks: context.map(label_slab, tasks, self._common),
+            self._stack, tasks, lambda tasks: context.map(label_slab, tasks, self._common),
             lambda ready: context.progress(ready, 2 * len(tasks), "slabs, searched for islands"),
-        )
+        )  # fmt: skip

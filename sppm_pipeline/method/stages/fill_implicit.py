@@ -96,10 +96,8 @@ class ImplicitFill(Stage):
     drains: tuple[tuple[float, float, float, float, float, float, float], ...] = option(
         (),
         help="holes through skin and microstructure: [x, y, z, x, y, z, radius], a ball that moves between two points",
-        unit="mm",
-        minimum=-1e5,
-        maximum=1e5,
-    )
+        unit="mm", minimum=-1e5, maximum=1e5,
+    )  # fmt: skip
     border: str = option(
         "cut", help="how the solid ends at the surface of the part: as cut, or without what is too thin",
         choices=("cut", "round"),

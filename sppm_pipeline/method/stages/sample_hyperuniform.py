@@ -83,11 +83,9 @@ class Hyperuniform(Sampler):
             loudest = max(loudest, float(structure_factor(cell[:, :3], waves, cell[:, 3]).max()))
         repeats = (not thrown.has_faces and thrown.blocks is None,) * 3
         context.report(
-            waves=2 * waves.number,
-            shortest_wave=1 / waves.radius,
-            largest_structure_factor=loudest,
+            waves=2 * waves.number, shortest_wave=1 / waves.radius, largest_structure_factor=loudest,
             smallest_distance=min(min_spacing(thrown.of_piece(t), repeats) for t in range(thrown.interiors)),
-        )
+        )  # fmt: skip
         return thrown
 
     def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:

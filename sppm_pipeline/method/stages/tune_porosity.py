@@ -108,11 +108,9 @@ class TunePorosity(Stage):
         made = recipe(palette, trials + draws)
         grids = [(trials, made.grid(max(24, n // 2))), (draws, made.grid(n)), (draws, made.grid(n + n // 2 + 1))]
         return made.at_porosity(
-            self.target,
-            samples=sum(times * grid.samples for times, grid in grids),
-            sums=sum(times * grid.sums for times, grid in grids),
-            resident=grids[-1][1].resident,
-        )
+            self.target, samples=sum(times * grid.samples for times, grid in grids),
+            sums=sum(times * grid.sums for times, grid in grids), resident=grids[-1][1].resident,
+        )  # fmt: skip
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Tune the recipe."""

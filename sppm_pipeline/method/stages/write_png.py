@@ -23,11 +23,9 @@ class WritePng(LayerWriter):
 
     path: str = options.write_path("slices", suffixes=("/",))
     bits: int | None = option(
-        None,
-        help="bits of a pixel: 1 for black and white, 8 for gray; what the layers need if omitted",
-        minimum=1,
+        None, help="bits of a pixel: 1 for black and white, 8 for gray; what the layers need if omitted", minimum=1,
         maximum=8,
-    )
+    )  # fmt: skip
 
     def check_options(self) -> None:
         if self.bits not in (None, 1, 8):

@@ -184,11 +184,9 @@ def porosities(stages: Sequence[Mapping[str, Any]], view: Mapping[str, Any] | No
 
 
 def boxes(
-    record: Mapping[str, Any],
-    stages: Sequence[Mapping[str, Any]],
-    view: Mapping[str, Any] | None,
+    record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]], view: Mapping[str, Any] | None,
     kinds: Mapping[str, type[Artifact]],
-) -> list[Box]:
+) -> list[Box]:  # fmt: skip
     """All boxes of a run; `kinds` are the types of what its stages made, by their ids."""
     made: list[Box] = []
     known = porosities(stages, view)

@@ -178,11 +178,9 @@ def of_run(
 
     threads, record = available_threads(), read_record(path)
     request = RunRequest(
-        str(path / RECORD),
-        plugins=tuple(args.plugin),
-        distributions=not args.no_plugins,
+        str(path / RECORD), plugins=tuple(args.plugin), distributions=not args.no_plugins,
         allowed=allowed_plugins(args.allow_plugins),
-    )
+    )  # fmt: skip
     found: tuple[bytes | None, str] = (None, "")
     if view:
         cache = cache_of(args)

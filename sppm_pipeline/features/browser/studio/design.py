@@ -194,13 +194,11 @@ class Design:
         entries = memory.record["stages"]
         summary = jsonable(entries[-1]["summary"])
         said = {
-            "yaml": text,
-            "digest": made.digest(),
-            "porosity": head["porosity"],
+            "yaml": text, "digest": made.digest(), "porosity": head["porosity"],
             "numbers": {key: summary[key] for key in ("pores", "tunnels") if key in summary},
             "warnings": [message for entry in entries for message in entry.get("warnings", ())],
             "seconds": round(time.perf_counter() - started, 3),
-        }
+        }  # fmt: skip
         return said, view
 
     def _with_text(self, text: str) -> Session:
@@ -218,13 +216,11 @@ class Design:
         errors: Iterable[SppmError] = error.errors if isinstance(error, ConfigErrors) else (error,)
         return [
             {
-                "key": at.get((one.where.line, one.where.column), "") if one.where else "",
-                "stage": one.stage or "",
-                "message": one.message,
-                "hint": one.hint or "",
+                "key": at.get((one.where.line, one.where.column), "") if one.where else "", "stage": one.stage or "",
+                "message": one.message, "hint": one.hint or "",
             }
             for one in errors
-        ]
+        ]  # fmt: skip
 
     def _turn(self) -> AbstractContextManager[None]:
         """One request at the engine; that before it is asked to stop, and does not begin if it has not begun."""

@@ -45,12 +45,10 @@ def execute(args: Namespace) -> int:
 
     named = Path(args.start) if args.start is not None else None
     request = RunRequest(
-        "cell.yaml" if args.start is None else str(find_configuration(args.start)),
-        plugins=tuple(args.plugin),
-        distributions=not args.no_plugins,
-        allowed=allowed_plugins(args.allow_plugins),
+        "cell.yaml" if args.start is None else str(find_configuration(args.start)), plugins=tuple(args.plugin),
+        distributions=not args.no_plugins, allowed=allowed_plugins(args.allow_plugins),
         text=START if args.start is None else None,
-    )
+    )  # fmt: skip
     # an example of the package is a start, and no file of the user's; nor is the record of a run to be edited
     own = named is not None and named.exists() and named.suffix.lower() in (".yaml", ".yml")
     server = server_of(Design(request, named if own else None, available_threads()), args.port)

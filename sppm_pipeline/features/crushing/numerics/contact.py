@@ -356,10 +356,8 @@ def repel(
                     drag = min(friction * spring, DRAG * m * slip / dt) / slip
                     fx, fy, fz = fx + spring * dx, fy + spring * dy, fz + spring * dz
                     lx, ly, lz = (
-                        lx + damper * dx - drag * vx,
-                        ly + damper * dy - drag * vy,
-                        lz + damper * dz - drag * vz,
-                    )
+                        lx + damper * dx - drag * vx, ly + damper * dy - drag * vy, lz + damper * dz - drag * vz,
+                    )  # fmt: skip
                 lost -= 0.5 * (
                     lossy[p, a, 0] * (x - earlier[p, a, 0])
                     + lossy[p, a, 1] * (y - earlier[p, a, 1])

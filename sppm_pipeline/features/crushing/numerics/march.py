@@ -304,9 +304,8 @@ class March:
         kinetic = nodes[KINETIC] if self.step else self._given
         plastic = elements[2] + elements[3] - elements[1]
         return [
-            self.strain, self.step * self.dt, nodes[TOP], nodes[BOTTOM], self._work,
-            elements[0], elements[1], plastic, self._contact.stored, self._contact.lost, kinetic,
-            nodes[DAMPED], self._work - nodes[WORK], self._from_mass,
+            self.strain, self.step * self.dt, nodes[TOP], nodes[BOTTOM], self._work, elements[0], elements[1], plastic,
+            self._contact.stored, self._contact.lost, kinetic, nodes[DAMPED], self._work - nodes[WORK], self._from_mass,
         ]  # fmt: skip
 
     def _record(self) -> None:

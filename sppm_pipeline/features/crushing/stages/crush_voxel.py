@@ -31,11 +31,9 @@ class CrushVoxel(Crusher):
     name: ClassVar[str] = "crush.voxel"
     reported: ClassVar[tuple[str, ...]] = ("steps", "elements")
     headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("numbers.plateau", "plateau stress", "{unit}"),
-        Headline("numbers.work", "work per volume", "{unit}"),
-        Headline("numbers.relative_density", "relative density"),
-        Headline("numbers.unbalanced", "unbalanced"),
-    )
+        Headline("numbers.plateau", "plateau stress", "{unit}"), Headline("numbers.work", "work per volume", "{unit}"),
+        Headline("numbers.relative_density", "relative density"), Headline("numbers.unbalanced", "unbalanced"),
+    )  # fmt: skip
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         return self.crushing(source)

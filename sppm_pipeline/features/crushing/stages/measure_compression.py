@@ -42,10 +42,8 @@ class MeasureCompression(Stage):
     published: tuple[float, float, float] | None = option(
         None,
         help="yield strength (MPa), effective displacement (mm) and energy (J) that a paper states of this specimen; "
-        "flagged if the energy is more than force times displacement",
-        minimum=1e-9,
-        maximum=1e9,
-    )
+        "flagged if the energy is more than force times displacement", minimum=1e-9, maximum=1e9,
+    )  # fmt: skip
 
     def check_options(self) -> None:
         """A plateau with a beginning and an end."""

@@ -115,11 +115,9 @@ class ReadCompression(Stage):
 
     name: ClassVar[str] = "read.compression"
     headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("points"),
-        Headline("strain_max", "strain up to"),
-        Headline("stress_max", "stress up to", "MPa"),
+        Headline("points"), Headline("strain_max", "strain up to"), Headline("stress_max", "stress up to", "MPa"),
         *(Headline(f"notes.{number}", "taken:") for number in range(1, 8)),
-    )
+    )  # fmt: skip
 
     path: Path = options.read_path(note=".csv, .txt, .tsv or any other text")
     specimen: str = option(

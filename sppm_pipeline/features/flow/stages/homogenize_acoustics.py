@@ -87,11 +87,9 @@ class HomogenizeAcoustics(FlowHomogenizer):
 
         x, y, z = (self.resolution * n for n in source.cells)
         solid = solid_fractions(
-            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads),
-            (x, y, z),
-            self.resolution,
+            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), (x, y, z), self.resolution,
             shift=shift,
-        )
+        )  # fmt: skip
         options = self.solver_options(context.threads)
         options["tolerance"] = max(1e-7, TIGHTER * options["tolerance"])
         # a voxel at the wall conducts by the share of it that is open

@@ -159,11 +159,9 @@ class HomogenizePermeability(SidedHomogenizer, FlowHomogenizer):
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
 
     grids: int = option(
-        1,
-        help="grids solved, for an error bar; 1 for none, and those of an image are blocks of its voxels",
-        minimum=1,
+        1, help="grids solved, for an error bar; 1 for none, and those of an image are blocks of its voxels", minimum=1,
         maximum=3,
-    )
+    )  # fmt: skip
 
     def run(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
         """Solve for three flows, on coarser grids first if an error bar is requested."""

@@ -120,9 +120,8 @@ def cut_at_faces(centers: NDArray[np.float64], edges: NDArray[np.integer], shift
             vectors.append(last - first if a <= b else first - last)
     _, first_of, group = np.unique(np.array(image_of, np.int64), return_index=True, return_inverse=True)
     return CutNetwork(
-        np.array(coords, np.float64).reshape(-1, 3), first_of[group],
-        np.array(conns, np.int64).reshape(-1, 2), np.array(tunnel, np.int64),
-        np.array(vectors, np.float64).reshape(-1, 3),
+        np.array(coords, np.float64).reshape(-1, 3), first_of[group], np.array(conns, np.int64).reshape(-1, 2),
+        np.array(tunnel, np.int64), np.array(vectors, np.float64).reshape(-1, 3),
     )  # fmt: skip
 
 

@@ -104,9 +104,7 @@ def _statistics(rows: list[dict[str, float | None]]) -> dict[str, Any]:
         spread = float(values.std(ddof=1)) if len(values) > 1 else None
         half = None if spread is None else float(stdtrit(len(values) - 1, 0.975)) * spread / len(values) ** 0.5
         found[name] = {
-            "mean": float(values.mean()) if len(values) else None,
-            "deviation": spread,
-            "confidence_95": half,
+            "mean": float(values.mean()) if len(values) else None, "deviation": spread, "confidence_95": half,
             "count": len(values),
-        }
+        }  # fmt: skip
     return found

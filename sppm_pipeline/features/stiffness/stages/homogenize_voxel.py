@@ -42,8 +42,7 @@ class ElasticCell(Homogenizer):
     filling_poisson: float = option(0.3, help="Poisson's ratio of what fills the void", above=-1, below=0.5)
     stress_unit: str = options.stress_unit("relative", formerly="unit")
     ersatz: float = option(
-        0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
-        minimum=0, maximum=1,
+        0.0, help="stiffness of the void relative to phase 1, for comparison with other codes", minimum=0, maximum=1,
     )  # fmt: skip
 
     def check_options(self) -> None:
@@ -170,8 +169,7 @@ class ElasticHomogenizer(ElasticCell):
             expansion=self._free_strain(report, limit, second_order(spacings, heat)),
             solver=report.solver | {
                 "grids": [round(n) for n in report.solver["grid"][0] / np.array(spacings)],
-                "C11": [float(value[0, 0]) for value in values],
-                "extrapolated": limit.extrapolated,
+                "C11": [float(value[0, 0]) for value in values], "extrapolated": limit.extrapolated,
             },
         )  # fmt: skip
         self._warn_of_error(context, result, thickness)
@@ -243,22 +241,18 @@ class ElasticHomogenizer(ElasticCell):
         for warning in warnings:
             context.warn(warning)
         return StiffnessReport(
-            found.stiffness,
-            phases,
+            found.stiffness, phases,
             f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
-            unit=None if self.stress_unit == "relative" else self.stress_unit,
-            expansion=found.expansion,
+            unit=None if self.stress_unit == "relative" else self.stress_unit, expansion=found.expansion,
             solver={
-                "grid": list(cell.shape),
-                "precision": found.precision,
+                "grid": list(cell.shape), "precision": found.precision,
                 "iterations": [case.iterations for case in found.solved],
                 "residuals": [float(case.residual) for case in found.solved],
                 "errors": [min(float(case.error), 1.0) for case in found.solved],
-                "converged": all(case.converged for case in found.solved),
-                "wraps": list(connected.wraps),
+                "converged": all(case.converged for case in found.solved), "wraps": list(connected.wraps),
                 "components": connected.components,
             },
-        )
+        )  # fmt: skip
 
     def _phases(self, cell: VoxelCell) -> tuple[tuple[float, float, float], ...]:
         """Volume fraction, Young's modulus and Poisson's ratio of each phase, that of the void last."""
@@ -322,8 +316,7 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
         None, help="coefficient of thermal expansion of what fills the void", unit="1/K", minimum=-1, maximum=1
     )
     stretch: tuple[float, float, float] | None = option(
-        None, help="how many times longer; a field, along x, y and z, before it is solved", minimum=0.05,
-        maximum=20,
+        None, help="how many times longer; a field, along x, y and z, before it is solved", minimum=0.05, maximum=20,
     )  # fmt: skip
 
     def check_options(self) -> None:
@@ -378,11 +371,9 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
             return self.stiffness_of(context, source, expansions)
         # steps of whole voxels make errors of first order, too irregular to extrapolate
         counts, reports, limit = refined(
-            context,
-            source,
-            [0] * (self.grids or 1),
+            context, source, [0] * (self.grids or 1),
             lambda on, count, given: replace(self, grids=1).stiffness_of(on, given, expansions),
             lambda report: report.stiffness,
-        )
+        )  # fmt: skip
         solver = {"grids": counts, "C11": [float(report.stiffness[0, 0]) for report in reports], "extrapolated": False}
         return replace(reports[-1], error=limit.error, solver=reports[-1].solver | solver)

@@ -73,11 +73,9 @@ class CheckVolumeMesh(Stage):
         edges = edge_counts(faces.boundary_triangles(mesh.cells, neighbors))
         unused = len(mesh.nodes) - len(np.unique(mesh.cells))
         context.report(
-            non_manifold_faces=shared,
-            boundary_closed=edges.bounds_solid,
-            non_manifold_edges=edges.non_manifold,
+            non_manifold_faces=shared, boundary_closed=edges.bounds_solid, non_manifold_edges=edges.non_manifold,
             unused_nodes=unused,
-        )
+        )  # fmt: skip
         if shared:
             faults.append(f"{shared} faces of cells are shared by three or more")
         elif not edges.bounds_solid:

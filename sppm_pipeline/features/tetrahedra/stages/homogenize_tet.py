@@ -106,17 +106,14 @@ class HomogenizeTet(Stage):
             )
         cell = float(np.prod(mesh.box[1] - mesh.box[0]))
         return StiffnessReport(
-            found.stiffness,
-            self._phases(mesh, cell),
+            found.stiffness, self._phases(mesh, cell),
             f"{'quadratic' if mesh.cells.shape[1] == 10 else 'straight'} tetrahedra, {len(mesh.cells)}",
             unit=None if self.stress_unit == "relative" else self.stress_unit,
             solver={
-                "iterations": found.iterations,
-                "residuals": found.residuals,
-                "unknowns": found.unknowns,
+                "iterations": found.iterations, "residuals": found.residuals, "unknowns": found.unknowns,
                 "constraints": found.constraints,
             },
-        )
+        )  # fmt: skip
 
     def _refuse_loose(self, mesh: VolumeMesh, stiffness: np.ndarray) -> None:
         """An error if the stiffness is rounding only: what unmatched faces join is unknown before."""
