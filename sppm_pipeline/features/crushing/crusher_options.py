@@ -169,10 +169,7 @@ class CrusherOptions(Stage):
         )
 
     def _check_snap_back(self, edge: float, cell: float | None, unit: str) -> None:
-        """Refuse voxels so large that the energy which one stores is more than a crack through it takes.
-
-        `edge` is that of a voxel, `cell` that of a cell, if a resolution can be named; both in `unit`.
-        """
+        """Refuse voxels so large that one stores more energy than a crack takes; a `cell` has a resolution."""
         if self.failure == "none":
             return
         largest = min(edge * m.fracture / m.least_fracture for m in self._materials(edge) if m.least_fracture > 0)

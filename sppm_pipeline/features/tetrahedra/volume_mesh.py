@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.artifact import Surface, Viewable, frozen, optional_module
 from sppm_pipeline.services.arrays import F64, I32, I64, U8, Bools
 from sppm_pipeline.services.mesh.faces import boundary_triangles, face_neighbors
@@ -245,6 +246,14 @@ class VolumeMesh(Viewable):
         assert self.materials is not None
         return self.materials
 
+    def constants(self, name: str, given: float | tuple[float, ...]) -> list[float]:
+        """The constant `name` of each material, given once or for each; `ConfigError` if some have none."""
+        count = int(self.material_of_cells.max())
+        values = list(given) if isinstance(given, tuple) else [given] * count
+        if len(values) < count:
+            raise ConfigError(f"the mesh has {count} materials, `{name}` gives values for {len(values)}")
+        return values
+
     @property
     def around(self) -> F64:
         """The box, or else the bounding box of the nodes, (2, 3) mm."""
@@ -252,8 +261,6 @@ class VolumeMesh(Viewable):
 
     def live_view(self) -> Surface:
         """The triangles of its boundary."""
-        from sppm_pipeline.services.mesh.faces import boundary_triangles, face_neighbors
-
         faces = boundary_triangles(self.cells, face_neighbors(self.cells))
         return Surface(self.nodes, faces, f"surface of the {self.name}", "mm")
 

@@ -52,13 +52,7 @@ class Formula(Stage):
         return self.edge.mm() if self.edge is not None else None
 
     def in_cells(self, length: Length, edge_mm: float | None = None) -> float:
-        """A length in cell sizes; `edge_mm` replaces that of the stage.
-
-        Raises
-        ------
-        ConfigError
-            If the length has a physical unit and the cell has no physical size.
-        """
+        """A length in cell sizes; `edge_mm` replaces that of the stage. ConfigError for a physical unit without any."""
         return length.in_cells(edge_mm or self.edge_mm)
 
 
@@ -90,10 +84,7 @@ class PartFieldMaker(Formula):
     ) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
         """Cells that the part takes, or those of `cells`, and the world position of the first one's low corner.
 
-        Raises
-        ------
-        ConfigError
-            If there is neither a part nor a number of cells, or the size of a cell is missing.
+        Raises ConfigError if there is neither a part nor a number of cells, or the size of a cell is missing.
         """
         if self.cells is not None:
             return self.cells, (0.0, 0.0, 0.0)

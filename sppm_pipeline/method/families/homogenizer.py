@@ -81,12 +81,9 @@ class VoxelCell(NamedTuple):
         return np.asarray(table[0] + self.fraction.T.astype(dtype) * (table[1] - table[0]))
 
     def check_materials(self, context: Context, given: int, options: str) -> None:
-        """Check that there are as many materials as phases: an error if one has none, a warning if some are left over.
+        """Check that there are as many materials as phases, and warn if some are left over.
 
-        Raises
-        ------
-        DesignError
-            If a phase has no material, or there are several for a field or an image of solid fractions.
+        Raises DesignError if a phase has none, or there are several for a field or an image of solid fractions.
         """
         if self.phase is None:
             if given > 1:
@@ -116,12 +113,8 @@ Report = TypeVar("Report")
 
 
 def grids_below(resolution: int, grids: int) -> list[int]:
-    """Voxels along an edge of the cell of each grid of a refinement, each two thirds of the next, the coarsest first.
-
-    Raises
-    ------
-    ConfigError
-        If the resolution is too low for so many.
+    """Voxels along an edge of the cell of each grid of a refinement, each two thirds of the next, the coarsest first;
+    `ConfigError` if the resolution is too low for so many.
     """
     counts = [max(2, round(resolution * (2 / 3) ** step)) for step in reversed(range(grids))]
     if len(set(counts)) < grids:
@@ -150,12 +143,7 @@ def refined(
     """Voxels along an edge and report of each grid of a refinement, and the limit of fine grids extrapolated.
 
     Grids of an image are made from blocks of its voxels, whatever the `counts`, and steps at surfaces make its errors
-    of first order. Warnings about coarse grids are dropped.
-
-    Raises
-    ------
-    ConfigError
-        If the voxels of an image do not make blocks.
+    of first order; `ConfigError` if they do not make blocks. Warnings about coarse grids are dropped.
     """
     from sppm_pipeline.services.elastic.convergence import richardson
 
@@ -226,12 +214,7 @@ class Homogenizer(Stage):
     ) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
         """Voxels of a periodic cell along x, y, z, and the edges of a voxel: 1 for fields.
 
-        Raises
-        ------
-        DesignError
-            If `source` is not periodic.
-        ResourceError
-            If the solver would need more memory than there is.
+        Raises DesignError if `source` is not periodic, ResourceError if the solver needs more memory than there is.
         """
         bytes_per_voxel = self.bytes_of_a_voxel(context.threads)
         if isinstance(source, Voxels):

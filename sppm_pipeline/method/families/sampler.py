@@ -108,14 +108,8 @@ class Sampler(Stage):
         return base.extended(centers, piece, spacing=kept)
 
     def throw_all(self, context: Context, interiors: Interiors) -> tuple[F64, I64]:
-        """Throw the pores of all interiors by `throw`; for samplers with a faster way for many of them.
-
-        Returns
-        -------
-        centers : (n, 3) float64
-            Interior after interior.
-        counts : (interiors,) int64
-            Pores of each.
+        """Throw the pores of all interiors by `throw`: centers (n, 3), interior after interior, and how many are in
+        each (interiors,); for samplers with a faster way for many of them.
         """
         thrown = []
         for t in range(len(interiors)):
@@ -126,13 +120,7 @@ class Sampler(Stage):
         return np.concatenate(thrown), np.array([len(own) for own in thrown])
 
     def with_pores(self, count: int, face_pores: int = 0) -> Sampler:
-        """The same stage for an interior of so many pores, by its options `total` or `count`.
-
-        Raises
-        ------
-        ConfigError
-            If it has neither.
-        """
+        """The same stage for an interior of so many pores, by `total` or `count`; `ConfigError` if it has neither."""
         if getattr(self, "total", None) is not None:
             # `total` counts the pores on the faces, `count` does not
             return replace(self, total=count + face_pores)  # type: ignore[call-arg]

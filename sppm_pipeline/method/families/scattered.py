@@ -158,10 +158,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
 
 
 def _kept_and_more(base: PoreSet, blocks: Blocks, mean: float) -> tuple[PoreSet, I64]:
-    """Pores thrown before, those that are kept among them, and how many more each interior gets.
-
-    Raises ConfigError if graded blocks have pores of another sampler.
-    """
+    """Pores thrown before, those that are kept among them, and how many more each interior gets."""
     from sppm_pipeline.method.sampling.blocks import block_quotas
 
     if blocks.density is not None and len(base.centers):

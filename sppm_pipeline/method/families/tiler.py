@@ -56,13 +56,7 @@ class Lattice(NamedTuple):
 def lattice_for(
     cell: Length | None, cells: tuple[int, int, int] | None, cover: SurfaceMesh | None, own_edge: float | None
 ) -> Lattice:
-    """The lattice that covers a part, or a box of cells.
-
-    Raises
-    ------
-    ConfigError
-        If neither a part nor a number of cells is given, or the size of a cell is missing.
-    """
+    """The lattice that covers a part, or a box of cells; `ConfigError` if neither is given, or no size of a cell."""
     edge = cell.mm() if cell is not None else own_edge
     if cells is not None:
         return Lattice(np.ones(cells, bool), edge, (0.0, 0.0, 0.0))
@@ -88,12 +82,8 @@ T = TypeVar("T", bound=Stage)
 
 
 def designed(stage: T, design: CellSizes | Geometry | None) -> T:
-    """The stage with the cell size and the porosity of a design where its options `cell` and `porosity` are omitted.
-
-    Raises
-    ------
-    ConfigError
-        If something is omitted, and the design is one for other rules.
+    """The stage with the cell size and the porosity of a design where its options `cell` and `porosity` are omitted;
+    `ConfigError` if something is omitted, and the design is one for other rules.
     """
     options: Any = stage
     if design is None or (options.cell is not None and options.porosity is not None):

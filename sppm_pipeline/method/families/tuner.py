@@ -106,25 +106,12 @@ class Tuner(Stage):
         number_of: Callable[[ScalarField], float], *, what: tuple[str, str],
         counted: tuple[str, str], more: Callable[[float, ScalarField], Mapping[str, Any]] = lambda number, made: {},
     ) -> ScalarField:  # fmt: skip
-        """Try values of the varied option until the number is met, and report; see `numerics.target_search`.
+        """Try values of the varied option, all with the same random numbers, until the number is `target` within the
+        relative `accuracy`, and report; `DesignError` if it is not met.
 
-        Parameters
-        ----------
-        context, recipe
-            All trials use the same random numbers.
-        target, accuracy : float
-            The number, and its largest relative error.
-        number_of : callable
-            From what the recipe makes to the number; positive, or 0 where there is none.
-        what, counted : (name in the summary, words)
-            Of the number, and of the evaluations.
-        more : callable
-            From the number and the field that were found to what else is reported.
-
-        Raises
-        ------
-        DesignError
-            If the target is not met.
+        `number_of` gives the number of what the recipe makes, positive, or 0 where there is none; `what` and `counted`
+        are names in the summary and words of the number and of the evaluations; `more` gives what else is reported of
+        the number and the field that were found.
         """
         varied = varied_option(recipe, self.vary) if self.vary else _porosity_of(recipe)
         low, high = varied.within(self.low, self.high)

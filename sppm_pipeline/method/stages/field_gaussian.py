@@ -101,10 +101,7 @@ class GaussianField(Stage):
         return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, self.tunnel), self.level)
 
     def _parameters(self, cell: Cell) -> tuple[float, float]:
-        """Omega and mu in cell sizes, from whichever option is there.
-
-        An error if one is given for a cell of physical size, which leaves its unit open.
-        """
+        """Omega and mu in cell sizes, from whichever option is there."""
         profile = TUNNEL_PROFILES[self.tunnel]
         return (
             self._parameter(cell, PORE_PROFILE, "omega", self.omega, "pore_radius", self.pore_radius),

@@ -244,11 +244,8 @@ class TunePorosity(Stage):
         )
 
     def _radius_factor(self, context: Context, made: Callable[[float], Microstructure]) -> tuple[float, float, int]:
-        """The factor of a radius that gives the target, the porosity that it gives, and how many were tried.
-
-        Porosity grows with either radius, without jumps but those of a voxel; so the target is enclosed by steps from
-        the radius asked for, and then searched between the last two.
-        """
+        """The factor of a radius that gives the target, the porosity that it gives, and how many were tried."""
+        # porosity grows with either radius: the target is enclosed by steps, and searched between the last two
         from sppm_pipeline.method.porosity.level import search_monotone
 
         finer = self.resolution + self.resolution // 2 + 1
@@ -345,11 +342,8 @@ class TunePorosity(Stage):
 
 
 def _points(field: ScalarField, n: int) -> Grid:
-    """Points of equal weight in the whole field, n along an edge of the cell, fewer if that were too many.
-
-    Those of a field that repeats lie off the planes of symmetry of the cell: lattices have whole layers of equal values
-    there, so that a level could only jump over them.
-    """
+    """Points of equal weight in the whole field, n along an edge of the cell, fewer if that were too many."""
+    # of a cell that repeats off its planes of symmetry, where lattices have layers of equal values: a level jumps there
     nx, ny, nz = field.cells
     n = max(4, min(n, round((MAX_SAMPLES / (nx * ny * nz)) ** (1 / 3))))
     centers = cell_centers(n, field.cells)
@@ -373,10 +367,7 @@ def _with_gap(options: Options, samplers: list[str], gap: float) -> Options:
 
 
 def _gaps(pores: PoreSet) -> tuple[float, float] | None:
-    """Smallest and largest gap that is searched, cell sizes: from the spacing on, where porosity falls with the gap.
-
-    None if the interior is too full for any. The largest one packs the interior box to `FULL` of its limit.
-    """
+    """Gaps between which is searched: from the spacing to where the box is packed to `FULL`; None if it is fuller."""
     from sppm_pipeline.method.sampling.capacity import box_capacity
 
     spacing = pores.spacing

@@ -163,12 +163,8 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
 
 
 def _remove_islands(fields: tuple[F32, ...], held: U8) -> float:
-    """Make void what is not connected to the largest component of the samples held by the part; return its share.
-
-    The fields are changed in place. They go on beyond the surface of the part, where solid stays that is within
-    `_BEYOND` samples of what does: enough for the edges of the part, while chips, of which the part holds no sample,
-    vanish.
-    """
+    """Make void, in place, what the largest component of the samples held by the part does not reach; its share."""
+    # beyond the surface of the part solid stays near what does, enough for its edges; chips without a sample vanish
     from sppm_pipeline.method.connectivity.components import find_components
     from sppm_pipeline.method.connectivity.islands import clear_runs
     from sppm_pipeline.method.tiling.lattice import dilated

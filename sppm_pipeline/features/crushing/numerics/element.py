@@ -70,10 +70,7 @@ def _transform(s: NDArray[Any]) -> None:
 
 @inline_jit
 def _bend(s: NDArray[Any], lam: Any, mu: Any) -> None:
-    """Mean deformation gradient, and the forces that bending would have if it were elastic.
-
-    Names: d110x is the component along x of the mode of ξη, turned back by the deformation gradient.
-    """
+    """Mean deformation gradient, and the forces of elastic bending; d110x is along x of the mode of ξη, turned back."""
     a, b = 1 / 48, 1 / 144
     for e in range(_LANES):
         xx, xy, xz = 0.25 * s[e + _R[1]], 0.25 * s[e + _R[2]], 0.25 * s[e + _R[4]]

@@ -144,10 +144,7 @@ def _laplacian(joins: Any) -> Any:
 
 
 def _graphs(matrix: Any, place: NDArray[np.int64], blocks: tuple[int, ...]) -> tuple[list[_Graph], NDArray[np.float64]]:
-    """Graphs, and the inverse of the coarsest matrix, from the matrix of the first graph.
-
-    `place` (n, 3) are the blocks of its unknowns along z, y, x, of which there are `blocks` along each.
-    """
+    """Graphs and inverse of the coarsest matrix from the first one, whose unknowns lie in the blocks `place` (n, 3)."""
     from scipy.sparse import coo_array, csr_array, diags_array
     from scipy.sparse.csgraph import connected_components
 

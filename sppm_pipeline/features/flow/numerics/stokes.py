@@ -277,11 +277,8 @@ class _Problem:
 
 
 def _remaining(changes: list[float]) -> float:
-    """Estimate of what all further iterations will change: the largest of the last changes, more if they fall slowly.
-
-    Changes come in pairs of a small and a large one, hence the maximum. Measured at tolerances of 1e-2, 1e-3 and 1e-4
-    on gyroids, spheres and blobs of three porosities, the true error stays below it.
-    """
+    """Estimate of what further iterations will change: the largest of the last changes, more if they fall slowly."""
+    # changes come in pairs, small and large. Measured on gyroids, spheres and blobs: the true error stays below it
     if len(changes) < _SPAN:
         return math.inf
     late, before = max(map(abs, changes[-_SPAN:])), changes[-2 * _SPAN : -_SPAN]

@@ -186,14 +186,7 @@ class MutualEnergies:
     With the total strain of case l its stresses have the mean s and the nodal forces f, which an exact solution would
     not have, and the mutual energy with case k is ``s[k] + u[k] . f / volume``, whatever the errors of both. As f is
     only the residual of case l, an error of u[k] counts by its product with that, and 16 bits are enough for u[k].
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-    expansion : (nz, ny, nx) float, optional
-        Coefficients of thermal expansion of the voxels.
-    last : bool
-        Keep the last solution, too, which no other is measured against.
+    `expansion` (nz, ny, nx) are coefficients of thermal expansion; with `last` the last solution is kept, too.
     """
 
     def __init__(self, hierarchy: Hierarchy, expansion: NDArray[Any] | None = None, last: bool = False) -> None:

@@ -33,20 +33,11 @@ def mean_thickness(fraction: NDArray[Any]) -> float:
 
 
 class Limit(NamedTuple):
-    """An extrapolated stiffness.
-
-    Attributes
-    ----------
-    value : (6, 6) float64
-    error : (6, 6) float64
-        Error bar of each entry.
-    extrapolated : bool
-        False if the grids are too coarse to extrapolate; then the value is that of the finest.
-    """
+    """An extrapolated stiffness, and the error bar of each entry, both (6, 6)."""
 
     value: F64
     error: F64
-    extrapolated: bool
+    extrapolated: bool  # False if the grids are too coarse to extrapolate; then the value is that of the finest
 
 
 def second_order(spacings: list[float], values: list[F64]) -> F64:
@@ -57,18 +48,11 @@ def second_order(spacings: list[float], values: list[F64]) -> F64:
 
 
 def limit_of_grids(spacings: list[float], values: list[F64], thickness: float, contrast: float = 1.0) -> Limit:
-    """Extrapolate the stiffness to infinitely fine grids, the finest first.
+    """Extrapolate the stiffness (6, 6) of two or more grids to infinitely fine ones, the finest first.
 
-    Parameters
-    ----------
-    spacings : list of float
-        Two or more.
-    values : list of (6, 6) float64
-    thickness : float
-        From `mean_thickness`, on the finest grid. What is not of second order is left over by the extrapolation, whose
-        change may also vanish by accident; so ``0.25 / t^1.5`` of the stiffness is added to that change.
-    contrast : float
-        One less the ratio of both stiffnesses; 1 for void.
+    `thickness` is that of `mean_thickness`, on the finest grid. What is not of second order is left over by the
+    extrapolation, whose change may also vanish by accident; so ``0.25 / t^1.5`` of the stiffness is added to that
+    change. `contrast` is one less the ratio of both stiffnesses; 1 for void.
     """
     fine, value = values[0], second_order(spacings, values)
     # a direction without a load path on the finest grid has none, whatever passes on coarser ones

@@ -91,11 +91,8 @@ class ElasticCell(Homogenizer):
         return [lame(e, v) for e, v in (self._void(), *zip(*self._materials(), strict=True))]
 
     def _expansion(self, cell: VoxelCell, expansion: tuple[float, ...], bulk: NDArray[Any]) -> NDArray[Any]:
-        """Coefficients of all voxels, (nz, ny, nx), of which `bulk` has the bulk moduli.
-
-        What is mixed in a voxel by volume is the stress that holds an expansion back, so that Levin's relation between
-        expansion and stiffness holds for mixtures, too.
-        """
+        """Coefficients of all voxels, (nz, ny, nx), of which `bulk` has the bulk moduli."""
+        # stresses that hold an expansion back are mixed by volume: so Levin's relation holds for mixtures, too
         moduli = [lam + 2 / 3 * mu for lam, mu in self._constants()]
         stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
         return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))

@@ -31,16 +31,8 @@ def uniaxial_strain(stiffness: F64, axis: int) -> F64 | None:
 def stress_ratios(found: Homogenized, strain: F64, modulus: NDArray[Any], edges: tuple[float, float, float]) -> F32:
     """Von Mises stress over yield stress at the eight Gauss points of each solid voxel (solid voxels, 8).
 
-    Parameters
-    ----------
-    found : Homogenized
-        With fields.
-    strain : (6,)
-        Mean strain xx, yy, zz, yz, xz, xy (engineering shear).
-    modulus : (nz, ny, nx) float
-        Shear modulus of the solid of each voxel over its yield stress; 0 where nothing yields.
-    edges : (hx, hy, hz)
-        Of a voxel.
+    Of the fields of `found` under a mean `strain` (6,), engineering shear; `modulus` (nz, ny, nx) is the shear modulus
+    of the solid of each voxel over its yield stress, 0 where nothing yields, and `edges` (hx, hy, hz) are a voxel's.
     """
     u = np.zeros((3, *modulus.shape), np.float32)
     for part, (packed, step) in zip(strain, found.fields, strict=True):

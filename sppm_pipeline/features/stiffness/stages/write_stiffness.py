@@ -7,9 +7,8 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from sppm_pipeline import ConfigError, Context, Stage, option, options
+from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.services.arrays import F64, I32, U8
 
@@ -48,7 +47,7 @@ class WriteStiffness(Stage):
         folder.mkdir(parents=True)
         unit = report.unit or "the unit of the base material"
         (folder / "stiffness.json").write_text(
-            json.dumps(_plain(report.summary()), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+            json.dumps(jsonable(report.summary()), indent=1, allow_nan=False) + "\n", encoding="utf-8"
         )
         comments = [
             f"effective stiffness of a porous cell, porosity {report.porosity:.4f}, {report.method}",
@@ -98,16 +97,3 @@ def young_picture(surface: F64, faces: I32, young: F64, unit: str | None, size: 
     picture = render_mesh(surface, faces, size=shape, face_colors=colors)
     picture = annotated(picture, framed(Camera(), surface, shape), None, bar=False)
     return with_scale(picture, low, high, f"E(n) / {unit}" if unit else "E(n)", 140)
-
-
-def _plain(value: object) -> object:
-    """Values as strict JSON has them; NaN and infinities as null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

@@ -99,11 +99,7 @@ def _sort_by_sign(at: I64, sign: I64) -> bool:
 
 @jit
 def _pillars(at: I64, solid: int, void: int, names: I64, cuts: I64, low: I64, high: I64, wins: I64) -> None:
-    """Solid part of a tetrahedron with two or three corners in the solid, as a prism: its three pillars.
-
-    `wins` counts for each pillar the diagonals that end at its high end. A pyramid is a prism with a pillar of no
-    length.
-    """
+    """The three pillars of a solid part, a prism (of a pyramid one has no length); `wins`: diagonals at high ends."""
     if solid == 2 and void == 2:
         # the edge in the solid, and for each corner in the void the line between its cut points
         low[0], high[0] = names[0], names[1]

@@ -36,21 +36,23 @@ def minimum_jacobian(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> 
     Six times the volume for one with straight edges and nodes in their middles. Positive values at the nodes do not
     prove that it is positive in between, but that is where curved edges fail first.
     """
-    corners = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
-    places = np.concatenate([corners, corners[EDGES].mean(1)])
-    slope = np.array([(-1.0, -1, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    corners = np.eye(4)
     points = np.asarray(nodes, np.float64)[tets]
     least = np.full(len(points), np.inf)
-    for place in places:
-        weights = np.array([1 - place.sum(), *place])
-        gradient = np.concatenate(
-            [
-                (4 * weights[:, None] - 1) * slope,
-                4 * (weights[EDGES[:, 0], None] * slope[EDGES[:, 1]] + weights[EDGES[:, 1], None] * slope[EDGES[:, 0]]),
-            ]
-        )
+    for gradient in quadratic_gradients(np.concatenate([corners, corners[EDGES].mean(1)])):
         np.minimum(least, np.linalg.det(np.einsum("mni,nj->mij", points, gradient)), out=least)
     return least
+
+
+SLOPES = np.array([(-1.0, -1, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+"""Gradients of the barycentric coordinates (1 - r - s - t, r, s, t) by r, s and t."""
+
+
+def quadratic_gradients(weights: F64) -> F64:
+    """Gradients of the shape functions of quadratic tetrahedra at barycentric coordinates (p, 4), (p, 10, 3)."""
+    a, b = EDGES.T
+    ends = 4 * (weights[:, a, None] * SLOPES[b] + weights[:, b, None] * SLOPES[a])
+    return np.concatenate([(4 * weights[..., None] - 1) * SLOPES, ends], axis=1)
 
 
 _FIFTHS = 900
@@ -114,10 +116,7 @@ def _prepared(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> tuple[F
 
 @jit
 def _shape(points: F64, corners: I32, m: int, p: F64, normals: F64, out: F64) -> None:
-    """Cosines of the six dihedral angles, then six times the volume, radius ratio, shortest and longest edge squared.
-
-    `normals` gets those of the faces, outward, each as long as twice the area.
-    """
+    """Cosines of the six dihedral angles, six times the volume, radius ratio, shortest and longest edge squared."""
     for i in range(4):
         for axis in range(3):
             p[i, axis] = points[corners[m, i], axis]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.features.tetrahedra.numerics.quality import EDGES
+from sppm_pipeline.features.tetrahedra.numerics.quality import SLOPES, quadratic_gradients
 from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 
@@ -19,7 +19,6 @@ from sppm_pipeline.services.jit.compiled import inline_jit, jit
 # straight-sided quadratic tetrahedra, whose gradients are linear.
 _A, _B = (5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20
 _POINTS = np.array([[_A, _B, _B, _B], [_B, _A, _B, _B], [_B, _B, _A, _B], [_B, _B, _B, _A]])
-_MIDDLE = np.full((1, 4), 0.25)
 
 
 class Assembled(NamedTuple):
@@ -70,18 +69,9 @@ def assemble(nodes: F64, cells: I32, unknowns: I64, lame: F64, shear: F64) -> As
 
 def _reference_gradients(width: int) -> F64:
     """Gradients of the shape functions by the three reference coordinates, (points, width, 3)."""
-    # barycentric coordinates are (1 - r - s - t, r, s, t)
-    slopes = np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    if width == 4:
-        return slopes[None]
-    if width != 10:
+    if width not in (4, 10):
         raise ValueError(f"tetrahedra have 4 or 10 nodes, got {width}")
-    made = np.empty((len(_POINTS), 10, 3))
-    for q, point in enumerate(_POINTS):
-        made[q, :4] = (4 * point - 1)[:, None] * slopes
-        for edge, (a, b) in enumerate(EDGES):
-            made[q, 4 + edge] = 4 * (point[a] * slopes[b] + point[b] * slopes[a])
-    return made
+    return SLOPES[None] if width == 4 else quadratic_gradients(_POINTS)
 
 
 @jit
@@ -212,10 +202,7 @@ class Blocks:
 
 @inline_jit
 def _add_of_later(start: int, stop: int, columns: I32, values: F64, x: F64, total: F64) -> None:
-    """Add the blocks of a row times their part of `x` to a sum (3, 6).
-
-    From the last one on, as rows are taken from the last one on: memory is read in one direction.
-    """
+    """Add the blocks of a row times their part of `x` to a sum (3, 6), the last first: memory is read in one way."""
     for at in range(stop - 1, start - 1, -1):
         column = columns[at]
         a, b, c = values[at, 0, 0], values[at, 0, 1], values[at, 0, 2]

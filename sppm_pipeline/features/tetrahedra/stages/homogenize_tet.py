@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, DesignError, InputError, Stage, option, options
+from sppm_pipeline import Context, DesignError, InputError, Stage, option, options
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh, face_match, loose_parts, matched_nodes
 from sppm_pipeline.method.families.homogenizer import LOCKING
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
@@ -77,11 +77,7 @@ class HomogenizeTet(Stage):
             except ValueError:  # nodes closer than the tolerance: which is whose copy is ambiguous
                 stand_in = None
         if stand_in is not None and (parts := loose_parts(mesh.nodes, mesh.cells[:, :4], mesh.box, stand_in)):
-            raise self._loose(
-                f"{mesh.name} carries no load: its solid, in {parts} loose parts, does not run through the cell"
-                if parts > 1
-                else f"{mesh.name} carries no load: its solid does not run through the cell"
-            )
+            raise self._loose(mesh, f", in {parts} loose parts," if parts > 1 else "")
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))
         try:
             found = homogenize_tetrahedra(
@@ -123,25 +119,18 @@ class HomogenizeTet(Stage):
         mean = sum(fraction * young for fraction, young, _ in phases)
         # loose solid moves freely: its stiffness is zero, or indefinite by rounding
         if largest <= MIN_STIFFNESS * mean or np.linalg.eigvalsh(stiffness)[0] < -1e-4 * largest:
-            raise self._loose(f"{mesh.name} carries no load: its solid does not run through the cell")
+            raise self._loose(mesh)
 
     @staticmethod
-    def _loose(message: str) -> DesignError:
+    def _loose(mesh: VolumeMesh, parts: str = "") -> DesignError:
         return DesignError(
-            message,
+            f"{mesh.name} carries no load: its solid{parts} does not run through the cell",
             hint="make the structure less porous, or the mesh finer if it is the mesh that is torn; "
             "`check.connectivity` says whether the solid of a field runs through",
         )
 
     def _constants(self, mesh: VolumeMesh) -> tuple[list[float], list[float]]:
-        count = int(mesh.material_of_cells.max())
-        moduli, ratios = (
-            list(value) if isinstance(value, tuple) else [value] * count for value in (self.young, self.poisson)
-        )
-        for name, values in (("young", moduli), ("poisson", ratios)):
-            if len(values) < count:
-                raise ConfigError(f"the mesh has {count} materials, `{name}` gives values for {len(values)}")
-        return moduli, ratios
+        return mesh.constants("young", self.young), mesh.constants("poisson", self.poisson)
 
     def _materials(self, mesh: VolumeMesh) -> tuple[np.ndarray, np.ndarray]:
         if not len(mesh.cells):

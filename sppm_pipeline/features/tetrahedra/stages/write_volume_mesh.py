@@ -172,15 +172,8 @@ class WriteVolumeMesh(Stage):
 
     def _moduli(self, mesh: VolumeMesh) -> dict[int, tuple[float, float]]:
         """Young's modulus and Poisson's ratio of each material of the mesh."""
-        materials = [int(material) for material in np.unique(mesh.material_of_cells)]
-
-        def of(name: str, given: float | tuple[float, ...]) -> list[float]:
-            values = given if isinstance(given, tuple) else (given,) * materials[-1]
-            if len(values) < materials[-1]:
-                raise ConfigError(f"the mesh has {materials[-1]} materials, `{name}` gives values for {len(values)}")
-            return [values[material - 1] for material in materials]
-
-        return dict(zip(materials, zip(of("young", self.young), of("poisson", self.poisson), strict=True), strict=True))
+        young, poisson = mesh.constants("young", self.young), mesh.constants("poisson", self.poisson)
+        return {int(m): (young[m - 1], poisson[m - 1]) for m in np.unique(mesh.material_of_cells)}
 
     def _msh(self, mesh: VolumeMesh) -> Iterator[bytes]:
         from sppm_pipeline.services.formats import msh

@@ -199,11 +199,8 @@ def _lower(least: F32, shift: F32, blocks: int) -> None:
 def _soften(
     least: F32, shift: F32, total: F32, slope: F32, lines: F32, count: int, blocks: int, radius: np.float32
 ) -> None:
-    """Lower the minimum of some lines to their soft minimum, by Newton's method for a whole row at once.
-
-    The sum of ``max(radius - (v_j - least) - s, 0)^2`` falls with s and is convex, so the steps from s = 0 to where it
-    is radius^2 never overshoot.
-    """
+    """Lower the minimum of some lines to their soft minimum, by Newton's method for a whole row at once."""
+    # the sum of max(radius - (v_j - least) - s, 0)^2 falls with s and is convex: steps from s = 0 never overshoot
     near = np.uint64(0)  # planes that come within the radius anywhere in the row; the rest can't contribute
     for j in range(np.uint64(count)):
         value, step = lines[2 * j], lines[2 * j + np.uint64(1)]
