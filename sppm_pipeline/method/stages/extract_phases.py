@@ -8,21 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Length,
-    Palette,
-    Part,
-    ScalarField,
-    Size,
-    Stage,
-    Voxels,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Headline, Length, Palette, Part, ScalarField, Size, Stage, Voxels, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.fields.scalar_field import RESOLVED_WALL
 from sppm_pipeline.method.stages.extract_voxels import ExtractVoxels, image_grid
 from sppm_pipeline.services.arrays import F32, F64, U8, Bools

@@ -6,19 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline import (
-    Cell,
-    ConfigError,
-    Context,
-    Length,
-    Microstructure,
-    Palette,
-    Size,
-    Stage,
-    TunnelGraph,
-    option,
-    options,
-)
+from sppm_pipeline import Cell, Context, Length, Microstructure, Palette, Size, Stage, TunnelGraph, option, options
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.fields.microstructure import CUTOFF, LOWEST_LEVEL, finest_pitch, pieces_from_graph
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES, TunnelProfile

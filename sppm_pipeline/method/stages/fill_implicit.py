@@ -9,25 +9,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    InputError,
-    Length,
-    Palette,
-    Part,
-    ScalarField,
-    Size,
-    Stage,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Palette, Part, ScalarField, Size, SurfaceMesh, options
+from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.method.families.inside_test import outward_mesh
 from sppm_pipeline.method.part.border import Border
 from sppm_pipeline.services.arrays import I32, I64
 from sppm_pipeline.services.formats.input_file import content_of
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 MIN_CELLS = 2
 """Cells along the longest side of a part below which a warning asks for the unit: an inch is 25 mm."""

@@ -7,19 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    Cell,
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    PoreSet,
-    Size,
-    Stage,
-    option,
-    options,
-)
+from sppm_pipeline import Cell, Context, Length, Palette, PoreSet, Size, Stage, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families.sampler import design_of, start_of
 from sppm_pipeline.method.families.scattered import with_darts
 from sppm_pipeline.nouns.palette import Blocks

@@ -5,23 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Microstructure,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    Stage,
-    SurfaceMesh,
-    TileSet,
-    Tiling,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Microstructure, Palette, RecipeSize, Size, SurfaceMesh, TileSet, Tiling, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.tiler import (
     HALO,
@@ -35,6 +20,7 @@ from sppm_pipeline.method.families.tiler import (
 )
 from sppm_pipeline.method.families.tileset_maker import check_faces
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
+from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

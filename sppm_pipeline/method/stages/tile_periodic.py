@@ -7,25 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Length,
-    Microstructure,
-    Palette,
-    ScalarField,
-    Size,
-    Stage,
-    SurfaceMesh,
-    TileSet,
-    Tiling,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Microstructure, Palette, ScalarField, Size, SurfaceMesh, TileSet, Tiling, options
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.tiler import HALO, at_porosity, designed, lattice_for, measured_tiling, tiling_size
 from sppm_pipeline.method.fields.scalar_field import RepeatedField
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
+from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,21 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Microstructure,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    Stage,
-    SurfaceMesh,
-    Tiling,
-    options,
-)
+from sppm_pipeline import Length, Microstructure, Palette, RecipeSize, Size, SurfaceMesh, Tiling, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families.tiler import (
     HALO,
     REPORTED_CELLS,
@@ -37,6 +24,7 @@ from sppm_pipeline.method.families.tiler import (
 )
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.nouns.palette import Blocks, Maps
+from sppm_pipeline.stage import Context, Recipe, Stage
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,25 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Length,
-    Microstructure,
-    Palette,
-    PoreSet,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    Stage,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Microstructure, Palette, PoreSet, RecipeSize, ScalarField, Size, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families.kernel_radii import radii_of, radius_warning, reported_radii, with_radii
 from sppm_pipeline.services.grid import Grid, cell_centers
+from sppm_pipeline.stage import Context, Headline, Recipe, Stage, option
 
 Options = dict[str, dict[str, Any]]
 

@@ -9,20 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Palette,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    Stage,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Headline, Palette, Recipe, RecipeSize, ScalarField, Size, Stage, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families.tuner import FIRST, HIGH, LOW, VARY, missed, options_at, varied_option
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.target_search import relative_error, search

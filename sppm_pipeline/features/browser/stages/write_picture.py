@@ -7,22 +7,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Palette,
-    PoreSet,
-    ScalarField,
-    Size,
-    Stage,
-    SurfaceMesh,
-    TileSet,
-    TunnelGraph,
-    Voxels,
-    option,
-    options,
-)
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import Palette, PoreSet, ScalarField, Size, SurfaceMesh, TileSet, TunnelGraph, Voxels, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.browser.live.pictures import (
     MAX_SAMPLES,
     MAX_TILES,
@@ -33,6 +19,7 @@ from sppm_pipeline.features.browser.live.pictures import (
 )
 from sppm_pipeline.services.arrays import F64, I64, U8
 from sppm_pipeline.services.pictures.shading import CUT
+from sppm_pipeline.stage import Context, Stage, option
 
 MAX_SHOWN = 20_000
 """Pores and tunnels of a picture; more would hide each other, and take minutes."""

@@ -16,18 +16,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Length,
-    Microstructure,
-    Palette,
-    Size,
-    Stage,
-    options,
-)
+from sppm_pipeline import Context, Headline, Length, Microstructure, Palette, Size, Stage, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.flow.permeability import DARCY
 from sppm_pipeline.formats import extension_of
 from sppm_pipeline.numerics import cell_centers

@@ -8,19 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Palette,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    Table,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Palette, Recipe, RecipeSize, ScalarField, Size, Table, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import ElasticHomogenizer
 
 NUMBERS = ("porosity", "E_x", "E_y", "E_z", "E_fit", "nu_xy", "nu_fit", "xi", "xi_relative", "universal_anisotropy")

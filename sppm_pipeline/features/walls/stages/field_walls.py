@@ -9,19 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    Cell,
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    Size,
-    Stage,
-    TunnelGraph,
-    option,
-    options,
-)
+from sppm_pipeline import Cell, Context, Length, Palette, Size, Stage, TunnelGraph, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph, sampling_tables
 from sppm_pipeline.method.kernels.kernels import log_normal_factors
