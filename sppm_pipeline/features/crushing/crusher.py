@@ -18,7 +18,6 @@ from sppm_pipeline.features.crushing.compression import CrushedBody
 from sppm_pipeline.features.crushing.crusher_options import CrusherOptions
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.crushing.compression import CrushedBody
     from sppm_pipeline.features.crushing.crusher_options import Table
     from sppm_pipeline.features.crushing.numerics.body import Body
     from sppm_pipeline.features.crushing.numerics.march import Failed, History, March

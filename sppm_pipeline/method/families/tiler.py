@@ -178,7 +178,40 @@ def without_faces(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tiler(Stage):
+class LaidCells(Stage):
+    """Base of stages that lay cells in a box, or over a part."""
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    porosity: float | None = options.porosity(None, note="that of the part or box; the recipe's own level if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+
+    def check_options(self) -> None:
+        """A part, which is no box of cells, does not repeat."""
+        if self.periodic and self.cells is None:
+            raise ConfigError("only a box of cells repeats", hint="give `cells: [3, 3, 3]`, or leave out `periodic`")
+
+    def drawn_size(self, made: Size, laid: float, measured: float | None = None) -> Size:
+        """The size of a tiling whose cells are all drawn, with the samples by which its porosity is measured."""
+        if measured is None:
+            measured = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
+        counts = {"cells": laid, "samples": measured, "sums": measured * made.body.kernels, "resident": measured}
+        return made.at_porosity(self.porosity, **counts)
+
+    def drawn(self, context: Context, recipe: Recipe, palette: Palette, what: str) -> Microstructure:
+        """What a recipe makes for all cells; `ConfigError` if that has no pores and tunnels."""
+        micro = recipe.run(context, palette=palette)
+        if not isinstance(micro, Microstructure):
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; {what} cells need a Microstructure",
+                hint="end the recipe with `field.gaussian`",
+            )
+        return micro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tiler(LaidCells):
     """Base of tile rules: implement `lay`; `run` finds the cells that are needed, and cuts the field.
 
     Unless the box repeats, one more cell is laid on all sides, as if the box or part were cut out of a larger whole.
@@ -186,17 +219,10 @@ class Tiler(Stage):
     a box or part holds some of them more often than others.
     """
 
-    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
-    cells: tuple[int, int, int] | None = options.cells(None)
-    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
     porosity: float | None = options.porosity(None, note="that of the part or box; that of the tile set if omitted")
-    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     version: ClassVar[int] = 2
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
     advice: ClassVar[str] = "give larger cells or fewer of them"
-
-    def check_options(self) -> None:
-        check_repeats(self.periodic, self.cells)
 
     @abstractmethod
     def lay(self, rng: np.random.Generator, mask: Bools, tileset: TileSet) -> Laid:
@@ -363,12 +389,6 @@ def at_porosity(
     # a quantile of G: the share of samples below the level is the solid
     micro = micro.with_level(level_for_porosity(samples, porosity).level)
     return replace(tiling, tileset=replace(tiling.tileset, micro=micro))
-
-
-def check_repeats(periodic: bool, cells: tuple[int, int, int] | None) -> None:
-    """Raise `ConfigError` if a part, not a box of cells, should repeat."""
-    if periodic and cells is None:
-        raise ConfigError("only a box of cells repeats", hint="give `cells: [3, 3, 3]`, or leave out `periodic`")
 
 
 KIND_TO_RULE = {"wang": "wang_3color", "free": "free_faces", "corner": "corner_colors"}

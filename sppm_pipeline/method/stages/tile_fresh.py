@@ -5,26 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import Length, Microstructure, Palette, RecipeSize, Size, SurfaceMesh, TileSet, Tiling, options
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import Palette, RecipeSize, Size, SurfaceMesh, TileSet, Tiling
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.tiler import (
     HALO,
+    LaidCells,
     at_porosity,
-    check_repeats,
     designed,
     laid_cells,
     lattice_for,
-    measured_voxels,
     tiling_size,
 )
 from sppm_pipeline.method.families.tileset_maker import check_faces
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
-from sppm_pipeline.stage import Context, Recipe, Stage, option
+from sppm_pipeline.stage import Context, Recipe, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class FreshTiling(Stage):
+class FreshTiling(LaidCells):
     """Draw new interiors and faces for every cell of the part: nothing repeats, at the price of drawing every cell.
 
     An extension of the paper. Cells of 68 pores take 20 kB each; fields are summed from the kernels, as caching
@@ -35,11 +34,6 @@ class FreshTiling(Stage):
     version: ClassVar[int] = 2
     advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
-    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
-    cells: tuple[int, int, int] | None = options.cells(None)
-    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
-    porosity: float | None = options.porosity(None, note="that of the part or box; the recipe's own level if omitted")
-    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     limit: int = option(100_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, design: Size | None = None) -> Size:
@@ -47,12 +41,7 @@ class FreshTiling(Stage):
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         cells = laid_cells(made, self.periodic)
         recipe(palette, cells)
-        trial = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
-        counts = {"cells": cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
-        return made.at_porosity(self.porosity, **counts)
-
-    def check_options(self) -> None:
-        check_repeats(self.periodic, self.cells)
+        return self.drawn_size(made, cells)
 
     def run(
         self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, design: CellSizes | None = None
@@ -74,12 +63,7 @@ class FreshTiling(Stage):
         interior, faces = tile_fresh(mask, periodic=self.periodic)
         colors = tuple(int(f.max()) + 1 for f in faces)
         palette = Palette(wanted, (colors[0], colors[1], colors[2]), meetings(interior, faces))
-        micro = recipe.run(context, palette=palette)
-        if not isinstance(micro, Microstructure):
-            raise ConfigError(
-                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; fresh cells need a Microstructure",
-                hint="end the recipe with `field.gaussian`",
-            )
+        micro = self.drawn(context, recipe, palette, "fresh")
         check_faces(micro, palette, recipe.name)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         arrays = TilingArrays(interior, faces, self.periodic, halo)

@@ -5,30 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import Length, Microstructure, Palette, RecipeSize, Size, SurfaceMesh, Tiling, options
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import Microstructure, Palette, RecipeSize, Size, SurfaceMesh, Tiling, options
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.families.tiler import (
     HALO,
     REPORTED_CELLS,
     TRIAL_BLOCKS,
+    LaidCells,
     Scattering,
     at_porosity,
-    check_repeats,
     designed,
     laid_cells,
     lattice_for,
-    measured_voxels,
     scattered_by_maps,
     tiling_size,
     without_faces,
 )
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.nouns.palette import Blocks, Maps
-from sppm_pipeline.stage import Context, Recipe, Stage
+from sppm_pipeline.stage import Context, Recipe
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScatteredTiling(Stage):
+class ScatteredTiling(LaidCells):
     """Scatter pores over the whole part: there are no faces, and nothing repeats.
 
     An extension of the paper. The lattice only says how many pores lie in each of its blocks: the recipe's number for a
@@ -47,11 +46,6 @@ class ScatteredTiling(Stage):
     version: ClassVar[int] = 3
     advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
-    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
-    cells: tuple[int, int, int] | None = options.cells(None)
-    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
-    porosity: float | None = options.porosity(None, note="that of the part or box; the recipe's own level if omitted")
-    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     rounds: int = options.rounds(2, note="in which pores are added and taken away, with maps", minimum=0, maximum=10)
     trials: int = options.trials(3, note="of the curve, with maps")
 
@@ -61,19 +55,13 @@ class ScatteredTiling(Stage):
         self = designed(self, None if design is None else design.body)
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         blocks = laid_cells(made, self.periodic)
-        trial = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
         if grading is None:
             recipe(palette, blocks)
-        else:  # drawn and measured in rounds, the last one but one closely, as are some cells in the end
-            recipe(palette, blocks * (1 + self.rounds) + 8 * TRIAL_BLOCKS**3 * self.trials)
-            trial = float(self.resolution) ** 3 * (
-                made.cells * (1 + (self.rounds - 1) / 8) + min(made.cells, REPORTED_CELLS)
-            )
-        counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
-        return made.at_porosity(self.porosity, **counts)
-
-    def check_options(self) -> None:
-        check_repeats(self.periodic, self.cells)
+            return self.drawn_size(made, blocks)
+        # drawn and measured in rounds, the last one but one closely, as are some cells in the end
+        recipe(palette, blocks * (1 + self.rounds) + 8 * TRIAL_BLOCKS**3 * self.trials)
+        measured = made.cells * (1 + (self.rounds - 1) / 8) + min(made.cells, REPORTED_CELLS)
+        return self.drawn_size(made, blocks, float(self.resolution) ** 3 * measured)
 
     def run(
         self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Maps | None = None,
@@ -93,12 +81,8 @@ class ScatteredTiling(Stage):
         if followed is not None:
             check_reach(followed.tileset.micro)
             return followed
-        micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
-        if not isinstance(micro, Microstructure):
-            raise ConfigError(
-                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; scattered cells need a Microstructure",
-                hint="end the recipe with `field.gaussian`",
-            )
+        palette = Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks)
+        micro = self.drawn(context, recipe, palette, "scattered")
         check_reach(micro)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         tiling = without_faces(micro, blocks, halo, edge, lattice.origin)

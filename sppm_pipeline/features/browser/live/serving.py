@@ -29,8 +29,6 @@ def execute(args: Namespace) -> int:
     if not is_current(args.directory, target) or args.remake:
         report.make_report(args, target)
     if args.serve:
-        from sppm_pipeline.features.browser.live.serving import LocalServer
-
         LocalServer(args.port, handler_of(target)).serve()
     else:
         report.open_in_browser(target)
@@ -53,7 +51,6 @@ def is_current(directory: Path, target: Path) -> bool:
 
 def handler_of(target: Path) -> type[LocalHandler]:
     """Answers for one page."""
-    from sppm_pipeline.features.browser.live.serving import LocalHandler
 
     class Handler(LocalHandler):
         def do_GET(self) -> None:

@@ -24,7 +24,6 @@ from sppm_pipeline.nouns.viewers import viewer_of
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
     from sppm_pipeline.engine.plan.plugins import Plugins
-    from sppm_pipeline.engine.plan.session import RunRequest
 
 QUICK = 3.0
 """Seconds; stages that took less in the run are repeated for a report, slower ones only with `--remake`."""

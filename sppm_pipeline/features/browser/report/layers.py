@@ -75,13 +75,12 @@ def _read(folder: Path, name: str, manifest: Mapping[str, Any], budget: int) -> 
     size = int(manifest["width_px"]), int(manifest["height_px"])
     reduced = -(-max(size) // MAX_PIXELS)
     step = -(-count // (MAX_LAYERS if reduced == 1 else MAX_LAYERS // 6))
-    numbers = list(range(0, count, step))
-    paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
-    if reduced == 1:
-        while len(paths) > 1 and sum(p.stat().st_size for p in paths) > budget:
-            step += 1
-            numbers = list(range(0, count, step))
-            paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
+    while True:
+        numbers = list(range(0, count, step))
+        paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
+        if reduced > 1 or len(paths) == 1 or sum(p.stat().st_size for p in paths) <= budget:
+            break
+        step += 1
     read = [_layer(p, reduced) for p in paths]
     # sizes of reduced layers are known only when they are made: every second one goes until the rest fits
     while len(read) > 1 and sum(len(data) for data, _ in read) > budget:

@@ -41,7 +41,6 @@ def execute(args: Namespace) -> int:
     from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
     from sppm_pipeline.engine.run.runner import available_threads
-    from sppm_pipeline.features.browser.studio.server import server_of
 
     named = Path(args.start) if args.start is not None else None
     request = RunRequest(

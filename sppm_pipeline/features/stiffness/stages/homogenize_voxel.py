@@ -12,7 +12,7 @@ from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels
 from sppm_pipeline.features.stiffness.numerics.refinement import Limit, limit_of_grids, mean_thickness, second_order
 from sppm_pipeline.method.families.homogenizer import LOCKING, SidedHomogenizer, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
-from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.method.porosity.fractions import solid_fractions, stiff_share
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.multigrid.transfer import coarsened
 
@@ -336,7 +336,6 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
         """As many voxels of a stretched cell as of the plain one, nearly cubes in the stretched one."""
         if self.stretch is None:
             return super().sampled(field, threads)
-        from sppm_pipeline.method.porosity.fractions import solid_fractions
         from sppm_pipeline.services.grid import Grid
 
         scale = float(np.prod(self.stretch)) ** (1 / 3)

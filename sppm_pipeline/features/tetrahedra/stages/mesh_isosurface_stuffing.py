@@ -194,9 +194,8 @@ def without_islands(mesh: Stuffed) -> tuple[Stuffed, float]:
     kept = int(np.argmax(each))
     tets = mesh.tets[labels == kept]
     used, corners = _used(tets, len(mesh.nodes))
-    return Stuffed(mesh.nodes[used], corners, _first_alike(mesh.twins[used]), mesh.put_back), float(
-        1 - each[kept] / each.sum()
-    )
+    stuffed = Stuffed(mesh.nodes[used], corners, _first_alike(mesh.twins[used]), mesh.put_back)
+    return stuffed, float(1 - each[kept] / each.sum())
 
 
 def expected_counts(surface: float, volume: float, porosity: float, resolution: float) -> tuple[float, float, float]:
@@ -270,9 +269,6 @@ def _warp(
             if best >= 0:
                 for axis in range(3):
                     moved[s, axis] = way * steps[best, axis]
-
-
-Sampled = F32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -350,18 +346,18 @@ class IsosurfaceStuffing(Stage):
 
 def _sampled(
     field: ScalarField, low: I64, shape: tuple[int, int, int], h: float, threads: int
-) -> list[tuple[Sampled, Sampled, tuple[Sampled, Sampled, Sampled]]]:
+) -> list[tuple[F32, F32, tuple[F32, F32, F32]]]:
     """The field, or both fields of a part, at the corners and centers of cubes, and at centers of squares in faces."""
     cells = np.array(shape)
     apart = field.apart_zyx if isinstance(field, Part) else lambda grid, threads: (field.sample(grid, threads).T,)
 
-    def at(offset: F64, count: I64) -> tuple[Sampled, ...]:
+    def at(offset: F64, count: I64) -> tuple[F32, ...]:
         x, y, z = ((low + offset) * h).tolist()
         nx, ny, nz = count.tolist()
         return apart(Grid((x, y, z), (h, h, h), (nx, ny, nz)), threads)
 
     corners, centers = at(np.zeros(3), cells + 1), at(np.full(3, 0.5), cells)
-    faces: list[list[Sampled]] = [[] for _ in corners]
+    faces: list[list[F32]] = [[] for _ in corners]
     for axis in range(3):
         sides = []
         for side in (0, shape[axis]):

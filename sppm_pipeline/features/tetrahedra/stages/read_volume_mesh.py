@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, InputError, Stage, options
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
+from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh, face_match
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.arrays import F64, I32, U8
 from sppm_pipeline.services.formats.hexahedra_file import IGNORED, LARGEST_FILE, READERS
@@ -80,8 +80,6 @@ class ReadVolumeMesh(Stage):
         materials = self._materials(context, read, [place for place, _ in blocks])
         box, matched = None, False
         if self.periodic:
-            from sppm_pipeline.features.tetrahedra.volume_mesh import face_match
-
             box = np.array([nodes.min(axis=0), nodes.max(axis=0)])
             match = face_match(nodes, cells, box)
             matched = bool(match.matched.all() and not match.mismatched.any())
