@@ -143,45 +143,30 @@ def _metadata(
 
     graph: list[dict[str, Any]] = [
         {
-            "@id": "ro-crate-metadata.json",
-            "@type": "CreativeWork",
+            "@id": "ro-crate-metadata.json", "@type": "CreativeWork", "about": {"@id": "./"},
             "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
-            "about": {"@id": "./"},
         },
         {
-            "@id": "./",
-            "@type": "Dataset",
-            "name": record["name"],
+            "@id": "./", "@type": "Dataset", "name": record["name"], "datePublished": ended,
             "description": f"A run of sppm_pipeline {sppm_pipeline.__version__}. "
             f"`sppm run {PIPELINE}` in this folder repeats it.",
-            "datePublished": ended,
             "license": notes.get("license", "Not stated: ask the author before you use it."),
-            "conformsTo": {"@id": PROFILE},
-            "hasPart": references(list(files)),
-            "mentions": {"@id": "#run"},
+            "conformsTo": {"@id": PROFILE}, "hasPart": references(list(files)), "mentions": {"@id": "#run"},
         },
         {"@id": PROFILE, "@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"},
         {
-            "@id": "#run",
-            "@type": "CreateAction",
-            "name": f"run of {record['name']}, seed {record['seed']}",
-            "instrument": {"@id": program},
-            "object": references([name for name in files if name not in outputs]),
-            "result": references(outputs),
-            "startTime": record["started"],
-            "endTime": ended,
+            "@id": "#run", "@type": "CreateAction", "name": f"run of {record['name']}, seed {record['seed']}",
+            "instrument": {"@id": program}, "object": references([name for name in files if name not in outputs]),
+            "result": references(outputs), "startTime": record["started"], "endTime": ended,
             "description": f"threads: {record['threads']}; status: {record['status']}",
             "actionStatus": f"http://schema.org/{'Completed' if record['status'] == 'done' else 'Failed'}ActionStatus",
         },
         {
-            "@id": program,
-            "@type": "SoftwareApplication",
-            "name": "sppm_pipeline",
-            "url": program,
+            "@id": program, "@type": "SoftwareApplication", "name": "sppm_pipeline", "url": program,
             "version": sppm_pipeline.__version__,
             "softwareRequirements": ", ".join(f"{name} {version}" for name, version in record["versions"].items()),
         },
-    ]
+    ]  # fmt: skip
     if "author" in notes:
         graph[1]["author"] = {"@id": "#author"}
         graph[3]["agent"] = {"@id": "#author"}

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from sppm_pipeline.hookspecs import hookimpl
 
-STAGES = {
-    "load.case": "AddLoadCase",
-    "simulate.part": "SimulatePart",
-    "optimize.density": "OptimizeDensity",
-}
+STAGES = {"load.case": "AddLoadCase", "simulate.part": "SimulatePart", "optimize.density": "OptimizeDensity"}
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

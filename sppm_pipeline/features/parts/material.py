@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, cast
 
@@ -24,9 +25,13 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.built_in import stage_class
-from sppm_pipeline.features.parts.bodies import SharedBody, mesh_body
-from sppm_pipeline.features.parts.solving import Model
-from sppm_pipeline.services.elastic.loaded import packed, unpacked
+from sppm_pipeline.features.parts.bodies import Applied, SharedBody, VoxelBody, applied, held_solid, mesh_body
+from sppm_pipeline.features.parts.part_result import TOP, PartResult
+from sppm_pipeline.features.parts.pictures import Shell
+from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases
+from sppm_pipeline.services.arrays import F32, F64, Bools
+from sppm_pipeline.services.elastic.elastic_level import Moduli
+from sppm_pipeline.services.elastic.loaded import HeldBody, Loaded, packed, strains_of, unpacked, von_mises
 from sppm_pipeline.services.elastic.voigt import from_lame, lame
 from sppm_pipeline.services.mesh.box_tree import box_tree
 from sppm_pipeline.services.monotone_cubic import MonotoneCubic, monotone_cubic
@@ -124,7 +129,7 @@ class LoadedPart(Stage):
             )
         return shared
 
-    def skin_share(self, part: SurfaceMesh, shared: SharedBody) -> NDArray[np.float64]:
+    def skin_share(self, part: SurfaceMesh, shared: SharedBody) -> F64:
         """Share of each element of the body (m,) that is skin."""
         thick = self.skin.mm()
         count = int(np.count_nonzero(shared.body.solid))
@@ -133,8 +138,8 @@ class LoadedPart(Stage):
         return np.clip((thick - depths_of(part, shared)) / float(np.mean(shared.body.edges)) + 0.5, 0, 1)
 
     def model_of(
-        self, shared: SharedBody, law: DensityLaw, density: NDArray[np.float64], skin: NDArray[np.float64],
-        bearing: NDArray[np.float64] | float, dtype: Any = np.float32,
+        self, shared: SharedBody, law: DensityLaw, density: F64, skin: F64,
+        bearing: F64 | float, dtype: Any = np.float32,
     ) -> Model:  # fmt: skip
         """A homogenized part of densities (m,), of which a share is skin, and a share bears at all."""
         body, share = shared.body, shared.share[shared.body.solid].astype(np.float64)
@@ -151,12 +156,12 @@ class LoadedPart(Stage):
         return float(np.prod(edges)) * 1e-3 * (self.solid_density or 1.0)
 
 
-def depths_of(part: SurfaceMesh, shared: SharedBody) -> NDArray[np.float64]:
+def depths_of(part: SurfaceMesh, shared: SharedBody) -> F64:
     """Distance of the middles of solid elements (m,) from the surface of the part, mm."""
     return surface_distances(box_tree(part.vertices[part.faces]), middles_of(shared))
 
 
-def middles_of(shared: SharedBody) -> NDArray[np.float64]:
+def middles_of(shared: SharedBody) -> F64:
     """Middles of the solid elements (m, 3), mm, in C order of (z, y, x)."""
     z, y, x = np.nonzero(shared.body.solid)
     middles: Any = (np.stack([x, y, z], axis=1) + 0.5) * np.array(shared.body.edges) + np.array(shared.body.origin)
@@ -174,22 +179,22 @@ class DensityLaw(NamedTuple):
         In the unit of the solid's Young's modulus.
     """
 
-    density: NDArray[np.float64]
-    constants: NDArray[np.float64]
+    density: F64
+    constants: F64
 
     @property
     def _curves(self) -> list[MonotoneCubic]:
         return [monotone_cubic(self.density, one) for one in self.constants]
 
-    def at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, density: F64) -> F64:
         """Constants (21, n)."""
         return np.stack([curve.at(density) for curve in self._curves])
 
-    def slope_at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+    def slope_at(self, density: F64) -> F64:
         """Derivatives of the constants (21, n)."""
         return np.stack([curve.slope_at(density) for curve in self._curves])
 
-    def check_range(self, density: NDArray[np.float64], what: str) -> None:
+    def check_range(self, density: F64, what: str) -> None:
         """Raise `DesignError` if a density lies below those that were measured."""
         low = float(density.min())
         if low < self.density[0] - SLACK or float(density.max()) > 1:
@@ -200,14 +205,12 @@ class DensityLaw(NamedTuple):
             )
 
 
-def solid_constants(young: float, poisson: float) -> NDArray[np.float64]:
+def solid_constants(young: float, poisson: float) -> F64:
     """The 21 constants of an isotropic solid."""
     return packed(from_lame(*lame(young, poisson)))
 
 
-def density_law(
-    densities: NDArray[np.float64], matrices: NDArray[np.float64], young: float, poisson: float, *, cubic: bool
-) -> DensityLaw:
+def density_law(densities: F64, matrices: F64, young: float, poisson: float, *, cubic: bool) -> DensityLaw:
     """The law through the means of draws of densities (n, draws) and stiffnesses (n, draws, 6, 6).
 
     Parameters
@@ -240,7 +243,7 @@ def density_law(
     return law
 
 
-def cubic_mean(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def cubic_mean(matrix: F64) -> F64:
     """Mean of a stiffness (6, 6) over the 48 symmetries of a cube: three constants are left."""
     normal, shear = matrix[:3, :3], matrix[3:, 3:]
     pairs = [normal[i, j] for i, j in itertools.combinations(range(3), 2)]
@@ -248,3 +251,160 @@ def cubic_mean(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     found[:3, :3] = np.mean(pairs)
     np.fill_diagonal(found, [np.trace(normal) / 3] * 3 + [np.trace(shear) / 3] * 3)
     return found
+
+
+LARGE = 0.1
+"""Displacement, over the longest side of the part, from which on linear elasticity is doubtful; ten times as much is no
+result at all but a mistake of units."""
+
+
+class Model(NamedTuple):
+    """What is solved: all arrays are those of voxels (nz, ny, nx)."""
+
+    body: VoxelBody
+    moduli: NDArray[Any]  # shear moduli of one Poisson's ratio, or all constants (21, nz, ny, nx), MPa; 0 in the void
+    ratio: float  # of both Lamé constants, with shear moduli
+    mass: F32  # of the voxels, g; their volume in cm3 where the density is not known
+    walls: F32 | None = None  # relative density of the walls in a homogenized voxel
+
+    def held(self, solid: Bools, fixed: Bools, dtype: Any) -> HeldBody:
+        """The solver of what is solid, with nodes held."""
+        moduli = self.moduli if solid is self.body.solid else np.where(solid, self.moduli, self.moduli.dtype.type(0))
+        given = moduli if self.moduli.ndim == 4 else Moduli(moduli, None, self.ratio)
+        return HeldBody(given, self.body.edges, fixed, dtype)
+
+
+class Prepared(NamedTuple):
+    """A case on what of the body is held."""
+
+    case: LoadCase
+    body: VoxelBody
+    applied: Applied
+    loose: float
+
+
+def prepared(model: Model, case: LoadCase, *, drop: bool) -> Prepared:
+    """Put a case on the pieces of the body that it holds; `DesignError` as `applied` and `held_solid`."""
+    found = applied(model.body, case, model.mass)
+    solid, loose = held_solid(model.body, case, found.fixed, drop=drop)
+    if not loose:
+        return Prepared(case, model.body, found, 0.0)
+    body = model.body._replace(solid=solid)
+    return Prepared(case, body, applied(body, case, np.where(solid, model.mass, 0)), loose)
+
+
+def simulated(
+    context: Context, model: Model, cases: LoadCases, *, drop: bool, tolerance: float, iterations: int,
+    yield_stress: float | None, has_mass: bool, keep: bool = False,
+) -> tuple[PartResult, Mapping[str, dict[str, NDArray[Any]]]]:  # fmt: skip
+    """Solve all cases: the result, and with `keep` displacements and stresses on all voxels of each, for files."""
+    numbers: dict[str, Any] = {}
+    compliance, worst_move, worst_stress, loose = 0.0, 0.0, 0.0, 0.0
+    surface, solver = None, None
+    moved, stresses, full = [], [], dict[str, dict[str, NDArray[Any]]]()
+    for number, case in enumerate(cases.cases):
+        ready = prepared(model, case, drop=drop)
+        one, solid = ready.applied, ready.body.solid
+        if solver is None or not np.array_equal(one.fixed, solver.fixed):
+            solver = model.held(solid, one.fixed, np.float32)
+        found = solved(solver, one, None, residual=1e-6, energy=tolerance, iterations=iterations)
+        if not found.solved.converged:
+            context.warn(
+                f"case {case.name!r}: after {found.solved.iterations} iterations an estimated error of "
+                f"{min(found.solved.error, 1):.1g} is left; allow more `iterations`"
+            )
+        u = found.displacement
+        used = ready.body.used()
+        u *= used
+        forces = solver.forces(u)
+        energy = sum(works(one, u, forces))
+        # what is held carries the forces there, less the loads that act on it
+        own = one.fixed.reshape(-1)[one.pulled.at]
+        direct = np.bincount(one.pulled.at[own] // (u.size // 3), one.pulled.values[own], 3)
+        reaction = [float(forces[k][one.fixed[k]].sum(dtype=np.float64) - direct[k]) for k in range(3)]
+        del forces
+        # of pieces that hang by an edge of a voxel the movement says nothing
+        move = float(np.sqrt(np.percentile(np.einsum("c...,c...->...", u, u)[used], TOP)))
+        _check_move(context, case, move, ready.body)
+        stress = _stress(model, solid, u)
+        top = float(np.percentile(stress[solid], TOP))
+        numbers[case.name] = {
+            "compliance": energy, "deflection": move, "stress": top, "reaction": [float(f"{v:.6g}") for v in reaction],
+            "iterations": found.solved.iterations,
+        }  # fmt: skip
+        compliance += case.weight * energy
+        worst_move, worst_stress, loose = max(worst_move, move), max(worst_stress, top), max(loose, ready.loose)
+        if surface is None:
+            surface = Shell.of(ready.body)
+        moved.append(surface.moved(u))
+        stresses.append(surface.stresses(stress))
+        if keep:
+            full[case.name] = {"displacement": u, "stress": stress}
+        context.progress(number + 1, len(cases.cases), "load cases")
+    assert surface is not None
+    if loose:
+        context.warn(f"{loose:.2g} of the solid is not held by anything, and left out")
+    result = PartResult(
+        "resolved" if model.walls is None else "homogenized", compliance, worst_move, worst_stress,
+        safety=yield_stress / worst_stress if yield_stress and worst_stress else None,
+        mass=float(model.mass.sum(dtype=np.float64)) if has_mass else None, loose=loose,
+        elements=int(np.count_nonzero(model.body.solid)), cases=numbers,
+        points=surface.points, triangles=surface.triangles,
+        moved=np.stack(moved).astype(np.float32), stresses=np.stack(stresses).astype(np.float32),
+    )  # fmt: skip
+    return result, full
+
+
+def solved(solver: HeldBody, one: Applied, start: NDArray[Any] | None, **stop: Any) -> Loaded:
+    """`HeldBody.solve`; `DesignError` where it breaks down."""
+    try:
+        return solver.solve(one.pulled, one.moved, start, **stop)
+    except ArithmeticError as error:
+        raise DesignError(
+            f"the part can't be solved: {error}",
+            hint="look at the picture of the conditions; is what is held joined to what is loaded?",
+        ) from None
+
+
+def works(one: Applied, u: NDArray[Any], forces: NDArray[Any]) -> tuple[float, float]:
+    """Twice the work of the loads, and of what moves the displacements that are given, from forces of displacements."""
+    pulled, moved = one.pulled, one.moved
+    loads = float(pulled.values @ u.reshape(-1)[pulled.at].astype(np.float64))
+    if not len(moved.at):
+        return loads, 0.0
+    there = np.isin(pulled.at, moved.at)
+    direct = float(pulled.values[there] @ u.reshape(-1)[pulled.at[there]].astype(np.float64))
+    return loads, float(moved.values @ forces.reshape(-1)[moved.at].astype(np.float64)) - direct
+
+
+def _check_move(context: Context, case: LoadCase, move: float, body: VoxelBody) -> None:
+    """Refuse displacements that no part can have, and warn of those that are not small."""
+    longest = float((np.array(body.edges) * body.solid.shape[::-1]).max())
+    if move > 10 * LARGE * longest:
+        raise DesignError(
+            f"case {case.name!r}: the part would move by {move:.3g} mm, and is {longest:.4g} mm long",
+            hint="are forces in N, `young` in MPa and the mesh in mm?",
+        )
+    if move > LARGE * longest:
+        context.warn(
+            f"case {case.name!r}: the part moves by {move / longest:.0%} of its length; linear elasticity, which "
+            "assumes small displacements, is not reliable"
+        )
+
+
+def _stress(model: Model, solid: Bools, u: NDArray[Any]) -> F32:
+    """Von Mises stress of each voxel; of homogenized ones, the mean over their walls."""
+    out = np.zeros(solid.shape, np.float32)
+    if model.walls is None:
+        von_mises(u, model.moduli, np.array(model.body.edges), out)
+        # a voxel that is partly solid has the share of the modulus, and its solid the stress of the whole
+        full = float(model.moduli.max())
+        np.divide(out * np.float32(full), model.moduli, out=out, where=solid, casting="same_kind")
+        out[~solid] = 0
+        return out
+    mean, _ = strains_of(u, solid, model.body.edges)
+    matrices = unpacked(model.moduli[:, solid])
+    xx, yy, zz, yz, xz, xy = np.einsum("nij,jn->in", matrices, mean)
+    mises = np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * (yz**2 + xz**2 + xy**2))
+    out[solid] = mises / model.walls[solid]
+    return out

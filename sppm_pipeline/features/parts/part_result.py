@@ -13,6 +13,7 @@ from sppm_pipeline import Report, Viewable, frozen, number
 from sppm_pipeline.nouns import TEXT
 from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, Surface
 from sppm_pipeline.nouns.report import Chart, Curve
+from sppm_pipeline.services.arrays import F32, I32
 
 SHOWN = 0.08
 """Largest displacement in pictures, over the diagonal of the part, if it is smaller."""
@@ -64,10 +65,10 @@ class PartResult(Report, Viewable):
     loose: float = field(default=0.0, metadata=number())
     elements: int = field(default=0, metadata=number())
     cases: Mapping[str, Any] = field(default_factory=dict, metadata=number("*"))
-    points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    triangles: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 3), np.int32))
-    moved: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
-    stresses: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    points: F32 = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    triangles: I32 = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    moved: F32 = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
+    stresses: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     def __post_init__(self) -> None:
         for name in ("points", "triangles", "moved", "stresses"):

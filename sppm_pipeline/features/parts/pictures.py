@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.parts.numerics.voxel_body import Applied, VoxelBody, at_nodes, exposed_faces
+from sppm_pipeline.features.parts.bodies import Applied, VoxelBody, at_nodes, exposed_faces
 from sppm_pipeline.pictures import BONE, Camera, colors_of, contact_sheet, render_mesh, with_scale
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, Bools
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.parts.part_result import PartResult
@@ -19,7 +20,7 @@ COLORS = {"displacement": (60, 110, 190), "force": (200, 50, 40), "pressure": (2
 CAMERA = Camera(azimuth=-55.0, elevation=25.0)
 
 
-def surface_of(body: VoxelBody) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+def surface_of(body: VoxelBody) -> tuple[I64, I32, I64]:
     """Nodes at the surface (n,), triangles (m, 3) between them, and the voxel (m,) of each triangle."""
     faces = exposed_faces(body)
     quads = faces.corners
@@ -35,11 +36,11 @@ class Shell(NamedTuple):
     """The surface of a body, on blocks of its voxels if these are many."""
 
     block: int  # voxels along the edge of a block, solid where half of them are
-    solid: NDArray[np.bool_]  # the body itself
-    nodes: NDArray[np.int64]  # these as `surface_of` has them, of the blocks
-    triangles: NDArray[np.int32]
-    voxels: NDArray[np.int64]
-    points: NDArray[np.float32]  # (n, 3)
+    solid: Bools  # the body itself
+    nodes: I64  # these as `surface_of` has them, of the blocks
+    triangles: I32
+    voxels: I64
+    points: F32  # (n, 3)
 
     @classmethod
     def of(cls, body: VoxelBody) -> Shell:
@@ -53,7 +54,7 @@ class Shell(NamedTuple):
         nodes, triangles, voxels = surface_of(coarse)
         return cls(block, body.solid, nodes, triangles, voxels, coarse.points(nodes).astype(np.float32))
 
-    def moved(self, u: NDArray[Any]) -> NDArray[np.float32]:
+    def moved(self, u: NDArray[Any]) -> F32:
         """Displacements (n, 3) of its points: of blocks, the means of the solid voxels around them."""
         if self.block == 1:
             return np.asarray(u.reshape(3, -1)[:, self.nodes].T, np.float32)
@@ -61,7 +62,7 @@ class Shell(NamedTuple):
         sums = (at_nodes(_blocks(np.where(self.solid, one[:-1, :-1, :-1], 0), self.block)) for one in u)
         return np.stack([(each / counts).reshape(-1)[self.nodes] for each in sums], axis=1)
 
-    def stresses(self, stress: NDArray[np.float32]) -> NDArray[np.float32]:
+    def stresses(self, stress: F32) -> F32:
         """Stresses (m,) of its triangles: of blocks, the means of their solid."""
         if self.block > 1:
             share = _blocks(self.solid.astype(np.float32), self.block)
@@ -69,7 +70,7 @@ class Shell(NamedTuple):
         return np.asarray(stress.reshape(-1)[self.voxels])
 
 
-def _blocks(values: NDArray[Any], block: int) -> NDArray[np.float32]:
+def _blocks(values: NDArray[Any], block: int) -> F32:
     """Means of blocks; those at the ends are filled up with zeros."""
     if block == 1:
         return np.asarray(values, np.float32)
@@ -105,9 +106,7 @@ def deformed_picture(result: PartResult, case: int, size: tuple[int, int]) -> ND
     return np.asarray(with_scale(sheet, 0.0, top, "von Mises, MPa", max(120, size[0] // 5)) if top > 0 else sheet)
 
 
-def density_picture(
-    body: VoxelBody, density: NDArray[np.float64], bounds: tuple[float, float], label: str
-) -> NDArray[np.uint8]:
+def density_picture(body: VoxelBody, density: F64, bounds: tuple[float, float], label: str) -> NDArray[np.uint8]:
     """The part from outside, and its far half: elements (m,) in colors of their density."""
     z, y, x = np.nonzero(body.solid)
     pictures = []

@@ -5,14 +5,10 @@ from __future__ import annotations
 from sppm_pipeline.hookspecs import hookimpl
 
 STAGES = {
-    "read.scan": "ReadScan",
-    "field.voxels": "FieldVoxels",
-    "measure.statistics": "MeasureStatistics",
-    "tune.match": "TuneMatch",
-    "check.scan": "CheckScan",
-    "print.simulate": "PrintSimulate",
+    "read.scan": "ReadScan", "field.voxels": "FieldVoxels", "measure.statistics": "MeasureStatistics",
+    "tune.match": "TuneMatch", "check.scan": "CheckScan", "print.simulate": "PrintSimulate",
     "write.statistics": "WriteStatistics",
-}
+}  # fmt: skip
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 
 

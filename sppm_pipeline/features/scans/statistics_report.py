@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Report, Table, number, reports
 from sppm_pipeline.nouns import TEXT, Chart, Curve
+from sppm_pipeline.services.arrays import F64
 
 CURVES = {
     "S2": "two-point probability", "cluster": "two-point cluster function", "path": "lineal path",
@@ -46,9 +46,7 @@ class StatisticsReport(Report):
         ``solid.S2``, ``void.path``, ...: distance or length, value, error bar; NaN where there is none. See `CURVES`.
     """
 
-    headline: ClassVar[tuple[str, ...]] = (
-        "porosity", "surface", "euler", "anisotropy",
-    )  # fmt: skip
+    headline: ClassVar[tuple[str, ...]] = ("porosity", "surface", "euler", "anisotropy")
 
     grid: tuple[int, int, int] = field(metadata=number("#3"))
     voxel: tuple[float, float, float] = field(metadata=number("#3"))
@@ -65,9 +63,9 @@ class StatisticsReport(Report):
     solid: Mapping[str, Any] = field(metadata=number("*"))
     void: Mapping[str, Any] = field(metadata=number("*"))
     entry: tuple[float, ...] = field(metadata=number("#3", unit="{unit}"))
-    fabric: NDArray[np.float64] = field(metadata=number("#3", unit="{unit}"))
-    axes: NDArray[np.float64] = field(metadata=number("#3.#3"))
-    curves: Mapping[str, NDArray[np.float64]] = field(metadata=TEXT)
+    fabric: F64 = field(metadata=number("#3", unit="{unit}"))
+    axes: F64 = field(metadata=number("#3.#3"))
+    curves: Mapping[str, F64] = field(metadata=TEXT)
 
     def check(self) -> None:
         """A share, and a table of three columns for each curve."""

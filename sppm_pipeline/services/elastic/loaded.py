@@ -181,12 +181,15 @@ class HeldBody:
             solid = np.flatnonzero(flat[0])
             samples = flat[:, solid[:: max(1, len(solid) // _SAMPLED)]].astype(np.float64)
         make: Any = GeneralLevel if general else ElasticLevel
-        levels: list[Any] = [make(given, edges, dtype)]
-        levels[0].hold(fixed)
-        bound = _MARGIN * largest_of(samples, edges) if general else largest_eigenvalue(given, edges)
-        held = fixed
-        while (shape := coarser(levels[-1].shape, edges, open_ends=True)) is not None:
+        levels: list[Any] = []
+        held, bound = fixed, 0.0
+        while True:
+            levels.append(make(given, edges, dtype))
+            levels[-1].hold(held)
+            bound = max(bound, _MARGIN * largest_of(samples, edges) if general else largest_eigenvalue(given, edges))
             fine = levels[-1].shape
+            if (shape := coarser(fine, edges, open_ends=True)) is None:
+                break
             x, y, z = (h if n == m else 2 * h for h, n, m in zip(edges, fine[::-1], shape[::-1], strict=True))
             edges = (x, y, z)
 
@@ -195,9 +198,6 @@ class HeldBody:
 
             given = np.stack([mean(one) for one in given]) if general else given.each(mean)
             held = _held_below(held, shape)
-            levels.append(make(given, edges, dtype))
-            levels[-1].hold(held)
-            bound = max(bound, _MARGIN * largest_of(samples, edges) if general else largest_eigenvalue(given, edges))
         transfers = [NodalTransfer.between(a.shape, b.shape, open_ends=True) for a, b in pairwise(levels)]
         self.hierarchy = Hierarchy.of(levels, SCRATCH_ROWS, bound, transfers=transfers, twice=False, planar=True)
         self._work = self.hierarchy.workspace()

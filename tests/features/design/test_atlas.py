@@ -14,10 +14,12 @@ from sppm_pipeline.features.design.atlas import (
     PROPERTIES,
     Atlas,
     configuration,
+    covariance,
+    fitted,
+    predicted,
     searched,
     spread,
 )
-from sppm_pipeline.features.design.numerics.surrogate import covariance, fitted, predicted
 
 QUERY = "E_relative > 0.05, porosity = 0.7, permeability * surface^2 > 0.01"
 

@@ -8,8 +8,7 @@ import pytest
 
 import sppm_pipeline as sppm
 from sppm_pipeline.errors import ConfigError, DesignError, SppmError
-from sppm_pipeline.features.design.numerics.sizes import Draws
-from sppm_pipeline.features.design.stages.design_sizes import DesignSizes
+from sppm_pipeline.features.design.stages.design_sizes import DesignSizes, Draws
 from sppm_pipeline.method.families.tiler import designed
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.method.stages.tile_scattered import ScatteredTiling

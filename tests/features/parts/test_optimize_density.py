@@ -6,9 +6,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 
 from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
-from sppm_pipeline.features.parts.bodies import SharedBody
+from sppm_pipeline.features.parts.bodies import SharedBody, VoxelBody
 from sppm_pipeline.features.parts.material import DensityLaw, cubic_mean, density_law, solid_constants
-from sppm_pipeline.features.parts.numerics.voxel_body import VoxelBody
 from sppm_pipeline.features.parts.stages.optimize_density import ConeFilter, OptimizeDensity, Problem
 from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases, condition_of, held_of
 from sppm_pipeline.method.nouns.maps import Place

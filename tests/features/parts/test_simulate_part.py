@@ -8,9 +8,8 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
-from sppm_pipeline.features.parts.bodies import field_body
-from sppm_pipeline.features.parts.numerics.voxel_body import VoxelBody
-from sppm_pipeline.features.parts.solving import Model, simulated
+from sppm_pipeline.features.parts.bodies import VoxelBody, field_body
+from sppm_pipeline.features.parts.material import Model, simulated
 from sppm_pipeline.features.parts.stages.load_case import AddLoadCase
 from sppm_pipeline.features.parts.stages.simulate_part import SimulatePart
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness

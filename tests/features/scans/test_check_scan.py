@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scipy.ndimage import affine_transform, gaussian_filter
+from scipy.spatial.transform import Rotation
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.scans.image_field import ImageField
-from sppm_pipeline.features.scans.numerics.registration import _turn
 from sppm_pipeline.features.scans.stages.check_scan import CheckScan
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -41,7 +41,7 @@ def compared(design, scan, **options):
 def test_an_offset_turn_and_bias_are_found(wide, grown):
     """Half a voxel and two degrees off, blurred and noisy: thickness to a tenth of a voxel."""
     design = wide[8:-8, 8:-8, 8:-8]
-    turn = _turn(np.radians(2) * np.array([0.6, 0.0, 0.8]))
+    turn = Rotation.from_rotvec([1.2, 0.0, 1.6], degrees=True).as_matrix()
     middle = np.full(3, (N + 15) / 2)
     moved = affine_transform(wide, turn, middle - turn @ middle + [0.5, -0.3, 0.2], order=3)[8:-8, 8:-8, 8:-8]
     rng = np.random.default_rng(0)

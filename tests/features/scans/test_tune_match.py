@@ -8,8 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.scans.image_field import ImageField
-from sppm_pipeline.features.scans.numerics.matching import KINDS, Look, differences, distance
-from sppm_pipeline.features.scans.stages.tune_match import TuneMatch
+from sppm_pipeline.features.scans.stages.tune_match import KINDS, Look, TuneMatch, differences, distance
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
@@ -76,7 +75,7 @@ def test_the_distance_is_zero_for_the_same_and_grows_with_the_size_of_balls():
         assert distance(looks[0], looks[0], (kind,)) == 0
     near, far = (distance(looks[0], look, ("S2", "chords", "thickness")) for look in looks[1:])
     assert 0 < near < far < 1
-    assert differences(looks[0], looks[2])["chords.solid"] > 0.3
+    assert differences(looks[0], looks[2])["chords"]["solid"] > 0.3
 
 
 def test_options_that_do_not_fit_are_refused():

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline import ConfigError, Context, DesignError, Palette, Size, Stage, SurfaceMesh, option, options
-from sppm_pipeline.features.parts.bodies import mesh_body
-from sppm_pipeline.features.parts.numerics.voxel_body import applied, held_solid
+from sppm_pipeline.features.parts.bodies import applied, held_solid, mesh_body
 from sppm_pipeline.method.nouns.conditions import FORMS, Condition, LoadCase, LoadCases, condition_of, held_of
 
 ALONG = 48
@@ -56,13 +55,10 @@ class AddLoadCase(Stage):
             )
 
     def _conditions(self, part: SurfaceMesh | None, near: SurfaceMesh | None) -> tuple[Condition, ...]:
-        return (
-            *(held_of(text, part, near) for text in self.fix),
-            *(held_of(text, part, near, normal=True) for text in self.symmetry),
-            *(condition_of("displacement", text, part, near) for text in self.displacement),
-            *(condition_of("force", text, part, near) for text in self.force),
-            *(condition_of("pressure", text, part, near) for text in self.pressure),
-        )
+        held = [held_of(text, part, near) for text in self.fix]
+        held += [held_of(text, part, near, normal=True) for text in self.symmetry]
+        kinds = {"displacement": self.displacement, "force": self.force, "pressure": self.pressure}
+        return (*held, *(condition_of(kind, text, part, near) for kind, texts in kinds.items() for text in texts))
 
     def estimate(self, palette: Palette, part: Size, cases: Size | None, near: Size | None = None) -> Size:
         return Size(samples=float(27 * ALONG**3), geometry=part.geometry)

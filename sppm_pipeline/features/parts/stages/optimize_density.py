@@ -24,11 +24,11 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.features.parts.bodies import SharedBody
-from sppm_pipeline.features.parts.material import DensityLaw, LoadedPart, middles_of
-from sppm_pipeline.features.parts.solving import Prepared, prepared, solved, works
+from sppm_pipeline.features.parts.material import DensityLaw, LoadedPart, Prepared, middles_of, prepared, solved, works
 from sppm_pipeline.method.nouns.conditions import LoadCases, region_of
 from sppm_pipeline.method.nouns.maps import Grading, ImageLaw
 from sppm_pipeline.numerics import node_sums
+from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of
 
 EVERY = 10
@@ -47,12 +47,15 @@ HALVINGS = 60
 """Of the multiplier: to the last bit."""
 
 
+Bounds = tuple[F64, F64]
+
+
 class State(NamedTuple):
     """Densities, and what follows from them."""
 
-    density: NDArray[np.float64]
+    density: F64
     compliance: float
-    gain: NDArray[np.float64]  # of densities, (m,)
+    gain: F64  # of densities, (m,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,10 +126,8 @@ class OptimizeDensity(LoadedPart):
         shared = self.elements_of(part, cell)
         skin = self.skin_share(part, shared)
         problem = Problem(self, law, shared, skin, cases)
-        bounds = self._bounds(part, shared)
-        design, history = self._search(context, problem, bounds, ConeFilter(
-            shared.body.solid, shared.body.edges, self.filter * cell
-        ))  # fmt: skip
+        cone = ConeFilter(shared.body.solid, shared.body.edges, self.filter * cell)
+        design, history = self._search(context, problem, self._bounds(part, shared), cone)
         context.report(
             steps=len(history), gain=history[0] / history[-1], compliance=history[-1],
             mass=problem.mass(design) if self.solid_density else None,
@@ -134,25 +135,21 @@ class OptimizeDensity(LoadedPart):
         )  # fmt: skip
         return before.added(_porosity_map(shared, design))
 
-    def _bounds(self, part: SurfaceMesh, shared: SharedBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _bounds(self, part: SurfaceMesh, shared: SharedBody) -> Bounds:
         """Bounds of the design variables (m,), with regions that are kept."""
         middles = middles_of(shared)
         low, high = (np.full(len(middles), bound) for bound in self.density)
         for texts, side in ((self.solid, 1), (self.empty, 0)):
             for text in texts:
                 region = region_of(text, part)
-                inside = region.distances(middles) <= (
-                    0.5 * max(shared.body.edges) if region.kind in ("plane", "triangles") else 0
-                )
+                thin = region.kind in ("plane", "triangles")
+                inside = region.distances(middles) <= (0.5 * max(shared.body.edges) if thin else 0)
                 if not inside.any():
                     raise DesignError(f"no element lies in {text!r}", hint="is it in the same place and unit?")
                 low[inside] = high[inside] = self.density[side]
         return low, high
 
-    def _search(
-        self, context: Context, problem: Problem, bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
-        cone: ConeFilter,
-    ) -> tuple[NDArray[np.float64], list[float]]:  # fmt: skip
+    def _search(self, context: Context, problem: Problem, bounds: Bounds, cone: ConeFilter) -> tuple[F64, list[float]]:
         """Densities (m,), and the compliance of every step."""
         target = self._mass_target(problem, bounds, cone)
         design = self._uniform(problem, bounds, cone, target)
@@ -176,14 +173,13 @@ class OptimizeDensity(LoadedPart):
         if target is None and history[-1] > 1.02 * self._compliance_target(problem):
             raise DesignError(
                 f"the part bends by {history[-1] / problem.force:.4g} mm at the largest densities that are allowed",
-                hint="allow a larger `deflection`, denser cells, or a skin",
+                hint="allow a larger `deflection`, denser cells, more `updates`, or a skin",
             )
         return cone.mean(design), history
 
     def _enough(
-        self, problem: Problem, cone: ConeFilter, state: State, here: NDArray[np.float64], gain: NDArray[np.float64],
-        target: float | None,
-    ) -> Callable[[NDArray[np.float64]], bool]:  # fmt: skip
+        self, problem: Problem, cone: ConeFilter, state: State, here: F64, gain: F64, target: float | None
+    ) -> Callable[[F64], bool]:
         """Whether a design has the mass wanted, or is stiff enough, for `updated`."""
         if target is not None:
             return lambda made: problem.mass(cone.mean(made)) >= target
@@ -191,9 +187,7 @@ class OptimizeDensity(LoadedPart):
         # reciprocal variables: the compliance of a bar scales with one over its section
         return lambda made: state.compliance + float(gain @ (here**2 / made - here)) <= most
 
-    def _mass_target(
-        self, problem: Problem, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], cone: ConeFilter
-    ) -> float | None:
+    def _mass_target(self, problem: Problem, bounds: Bounds, cone: ConeFilter) -> float | None:
         """The mass that is wanted; `DesignError` if no density that is allowed gives it."""
         if self.deflection is not None:
             return None
@@ -212,10 +206,7 @@ class OptimizeDensity(LoadedPart):
         assert self.deflection is not None
         return self.deflection.mm() * problem.force
 
-    def _uniform(
-        self, problem: Problem, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], cone: ConeFilter,
-        target: float | None,
-    ) -> NDArray[np.float64]:  # fmt: skip
+    def _uniform(self, problem: Problem, bounds: Bounds, cone: ConeFilter, target: float | None) -> F64:
         """The design to begin with: one density wherever regions allow it."""
         low, high = self.density
         if target is None:
@@ -226,7 +217,7 @@ class OptimizeDensity(LoadedPart):
             low, high = (low, middle) if enough else (middle, high)
         return np.asarray(np.clip(high, *bounds))
 
-    def _draw(self, context: Context, shared: SharedBody, density: NDArray[np.float64], step: int) -> None:
+    def _draw(self, context: Context, shared: SharedBody, density: F64, step: int) -> None:
         from PIL import Image
 
         from sppm_pipeline.features.parts.pictures import density_picture
@@ -241,7 +232,7 @@ class Problem:
     """A homogenized part under its cases, as a function of its densities; of elements (m,) a share is skin."""
 
     def __init__(
-        self, stage: LoadedPart, law: DensityLaw, shared: SharedBody, skin: NDArray[np.float64], cases: LoadCases,
+        self, stage: LoadedPart, law: DensityLaw, shared: SharedBody, skin: F64, cases: LoadCases,
         dtype: Any = np.float32,
     ) -> None:  # fmt: skip
         self.dtype = dtype
@@ -256,11 +247,11 @@ class Problem:
         self._ready: list[Prepared] = []
         self.force = 1.0
 
-    def mass(self, density: NDArray[np.float64]) -> float:
+    def mass(self, density: F64) -> float:
         """Of densities (m,), skin included."""
         return float(self.masses @ density) + self._skin_mass
 
-    def solved(self, context: Context, density: NDArray[np.float64]) -> State:
+    def solved(self, context: Context, density: F64) -> State:
         """Compliance of densities (m,), and how much a unit of each lowers it."""
         stage = self.stage
         model = stage.model_of(self.shared, self.law, density, self.skin, 1.0, self.dtype)
@@ -273,11 +264,10 @@ class Problem:
         slope = self._slopes * self.law.slope_at(density)
         compliance, gain = 0.0, np.zeros(len(density))
         solver: HeldBody | None = None
-        last: NDArray[np.bool_] | None = None
         for one in self._ready:
             fixed = one.applied.fixed
-            if solver is None or last is None or not np.array_equal(last, fixed):
-                solver, last = model.held(one.body.solid, fixed, self.dtype), fixed
+            if solver is None or not np.array_equal(fixed, solver.fixed):
+                solver = model.held(one.body.solid, fixed, self.dtype)
             found = solved(
                 solver, one.applied, self._starts.get(one.case.name),
                 residual=stage.solver_tolerance if exact else 1e-6, energy=0.0 if exact else stage.solver_tolerance,
@@ -303,7 +293,7 @@ class ConeFilter:
     densities that vary little over a cell, and patterns of single elements are stiff by an error of elements alone.
     """
 
-    def __init__(self, solid: NDArray[np.bool_], edges: tuple[float, float, float], radius: float) -> None:
+    def __init__(self, solid: Bools, edges: tuple[float, float, float], radius: float) -> None:
         reach = [int(radius / h) for h in edges[::-1]]
         z, y, x = np.meshgrid(
             *(np.arange(-n, n + 1) * h for n, h in zip(reach, edges[::-1], strict=True)), indexing="ij"
@@ -312,26 +302,23 @@ class ConeFilter:
         self.solid = solid
         self.total = self._summed(np.ones(np.count_nonzero(solid)))
 
-    def _summed(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _summed(self, values: F64) -> F64:
         from scipy.ndimage import convolve
 
         grid = np.zeros(self.solid.shape)
         grid[self.solid] = values
         return np.asarray(convolve(grid, self.kernel, mode="constant")[self.solid])
 
-    def mean(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(self, values: F64) -> F64:
         """Densities (m,) of design variables (m,)."""
         return self._summed(values) / self.total
 
-    def back(self, slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def back(self, slopes: F64) -> F64:
         """Derivatives by design variables, from those by densities: the transpose, as the cone is symmetric."""
         return self._summed(slopes / self.total)
 
 
-def updated(
-    design: NDArray[np.float64], gain: NDArray[np.float64], cost: NDArray[np.float64],
-    bounds: tuple[NDArray[np.float64], NDArray[np.float64]], enough: Callable[[NDArray[np.float64]], bool],
-) -> NDArray[np.float64]:  # fmt: skip
+def updated(design: F64, gain: F64, cost: F64, bounds: tuple[F64, F64], enough: Callable[[F64], bool]) -> F64:
     """The next design: variables times the root of gain over cost, times a multiplier (Bendsoe and Sigmund 2003, 1.2).
 
     A unit of each (m,) gains so much of the compliance and costs so much mass; `enough` says whether a design has the
@@ -351,7 +338,7 @@ def updated(
     return np.clip(design * ratio * most, low, high)
 
 
-def _porosity_map(shared: SharedBody, density: NDArray[np.float64]) -> ImageLaw:
+def _porosity_map(shared: SharedBody, density: F64) -> ImageLaw:
     """The map of porosity; outside of the part it goes on as in the nearest element."""
     from scipy.ndimage import distance_transform_edt
 

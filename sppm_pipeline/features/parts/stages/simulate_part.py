@@ -25,12 +25,12 @@ from sppm_pipeline import (
 )
 from sppm_pipeline.engine.process.budget import require_memory
 from sppm_pipeline.features.parts.bodies import field_body
-from sppm_pipeline.features.parts.material import LoadedPart, depths_of, middles_of
+from sppm_pipeline.features.parts.material import LoadedPart, Model, depths_of, middles_of, simulated
 from sppm_pipeline.features.parts.part_result import PartResult
-from sppm_pipeline.features.parts.solving import Model, simulated
 from sppm_pipeline.method.nouns.conditions import LoadCases
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.elastic.voigt import lame
 
 VOXEL_BYTES = 80
@@ -91,23 +91,16 @@ class SimulatePart(LoadedPart):
         return Size(samples=8 * grid.samples, voxels=grid.samples, resident=grid.samples)
 
     def run(
-        self,
-        context: Context,
-        cases: LoadCases,
-        field: ScalarField | None,
-        part: SurfaceMesh | None,
-        grading: Grading | None,
-        recipe: Recipe | None = None,
-    ) -> PartResult:
+        self, context: Context, cases: LoadCases, field: ScalarField | None, part: SurfaceMesh | None,
+        grading: Grading | None, recipe: Recipe | None = None,
+    ) -> PartResult:  # fmt: skip
         """Make the model, solve its cases, write files."""
         if recipe is None:
             model = self._resolved(context, field)
         else:
             whole = field.domain if isinstance(field, Part) else part
             if whole is None:
-                raise ConfigError(
-                    "there is no part to fill with the recipe", hint="read a mesh by a `read` stage first"
-                )
+                raise ConfigError("there is no part to fill with the recipe", hint="read a mesh by a `read` stage")
             model = self._homogenized(context, whole, recipe, grading, cases)
         result, full = simulated(
             context, model, cases, drop=recipe is None, tolerance=self.solver_tolerance, iterations=self.iterations,
@@ -132,14 +125,12 @@ class SimulatePart(LoadedPart):
                 "there is neither a structure nor a `recipe`",
                 hint="put the stage behind `fill.implicit`, or give a `recipe` to homogenize",
             )
-        size = np.prod([
-            n * self.resolution for n in (
-                (field.domain.upper - field.domain.lower) / field.physical_edge() if isinstance(field, Part) else
-                field.cells
-            )
-        ])  # fmt: skip
+        cells: Any = field.cells
+        if isinstance(field, Part):
+            cells = (field.domain.upper - field.domain.lower) / field.physical_edge()
+        size = float(np.prod(np.array(cells) * self.resolution))
         require_memory(
-            float(size) * VOXEL_BYTES, f"solving {size:.3g} voxels", "lower `resolution`", limit=context.memory_limit
+            size * VOXEL_BYTES, f"solving {size:.3g} voxels", "lower `resolution`", limit=context.memory_limit
         )
         if (coarse := field.coarseness(1 / self.resolution)) is not None:
             context.warn(coarse)
@@ -165,16 +156,14 @@ class SimulatePart(LoadedPart):
             )
         law, cell = self.law_of(context, recipe)
         shared = self.elements_of(part, cell)
-        if mapped:
-            assert grading is not None
+        density = np.full(np.count_nonzero(shared.body.solid), 1 - float(self.porosity or 0))
+        if mapped and grading is not None:
             density = 1 - grading["porosity"].at(middles_of(shared))
-        else:
-            density = np.full(np.count_nonzero(shared.body.solid), 1 - float(self.porosity or 0))
         law.check_range(density, "the part")
         skin = self.skin_share(part, shared)
         return self.model_of(shared, law, density, skin, self._bearing(part, shared, cell))
 
-    def _bearing(self, part: SurfaceMesh, shared: Any, cell: float) -> NDArray[np.float64]:
+    def _bearing(self, part: SurfaceMesh, shared: Any, cell: float) -> F64:
         """Share of each element (m,) that lies deeper than the layer that bears nothing; all of it under a skin."""
         layer = self.surface_layer * cell
         if not layer or self.skin.value:
@@ -201,8 +190,5 @@ class SimulatePart(LoadedPart):
         if model.walls is not None:
             data["density"] = model.walls[body.solid]
         with context.output(self.mesh).open("wb") as file:
-            file.writelines(
-                encode_hexahedra(
-                    body.points(nodes).astype(np.float32), cells.reshape(corners.shape).astype(np.int32), data
-                )
-            )
+            points, bricks = body.points(nodes).astype(np.float32), cells.reshape(corners.shape).astype(np.int32)
+            file.writelines(encode_hexahedra(points, bricks, data))

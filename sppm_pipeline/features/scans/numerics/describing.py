@@ -6,41 +6,26 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.features.scans.numerics import statistics as st
 from sppm_pipeline.numerics import find_components, paint_runs
+from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness, painted_balls, squared_distance
 
 MAX_BALLS = 128
 """Voxels along the longest side of the image in which balls are painted; finer ones are halved until they have less.
 The means are those in the limit of fine grids."""
 
-Bools = NDArray[np.bool_]
-F64 = NDArray[np.float64]
-
 
 class Phase(NamedTuple):
-    """Curves and numbers of a phase; lengths are in voxels.
+    """Curves and numbers of a phase; lengths are in voxels."""
 
-    Attributes
-    ----------
-    pairs, cluster, path : (m + 1,) float64
-        Over distances from 0 on, means of the axes.
-    chords : (n + 1,) float64
-        Numbers by length, of all axes.
-    mean_chords : (3,) float64
-        Along x, y, z; NaN where no chord is whole.
-    connected : float
-        Share of the largest connected part.
-    """
-
-    pairs: F64
+    pairs: F64  # curves (m + 1,) over distances from 0 on, means of the axes
     cluster: F64
     path: F64
-    chords: F64
-    mean_chords: F64
-    connected: float
+    chords: F64  # numbers by length (n + 1,), of all axes
+    mean_chords: F64  # along x, y, z; NaN where no chord is whole
+    connected: float  # share of the largest connected part
 
 
 def curves_of(phase: Bools, distances: int, wraps: bool) -> Phase:
@@ -65,23 +50,13 @@ def _mean(curves: list[F64]) -> F64:
 
 
 class Balls(NamedTuple):
-    """Local thickness of a phase, in voxels of the image.
+    """Local thickness of a phase, in voxels of the image."""
 
-    Attributes
-    ----------
-    mean, deviation : float
-        In the limit of fine grids, and over the volume.
-    sizes, shares : (m,) float64
-        Histogram by volume, moved to that limit.
-    error : float
-        Of the mean, over blocks.
-    """
-
-    mean: float
-    deviation: float
-    sizes: F64
+    mean: float  # in the limit of fine grids
+    deviation: float  # over the volume
+    sizes: F64  # histogram by volume (m,), moved to that limit
     shares: F64
-    error: float
+    error: float  # of the mean, over blocks
 
 
 def balls_of(phase: Bools, wraps: bool, parts: int) -> Balls:
@@ -136,32 +111,20 @@ def _error(values: Any) -> float:
 
 
 class Described(NamedTuple):
-    """Statistics of an image, lengths in voxels; `bars` has values and standard errors.
+    """Statistics of an image and of its phases "solid" and "void", lengths in voxels."""
 
-    Attributes
-    ----------
-    bars : dict of name to (value, error)
-        ``porosity``, ``surface``, ``curvature``, ``euler``, ``solid.chords``, ``void.chords``.
-    phases : dict of "solid", "void" to (Phase, errors of `pairs`, `cluster`, `path`)
-    radial : dict of "solid", "void" to ((m + 1,), (m + 1,)) float64
-        Distances, and S2 over all directions.
-    fabric : (lengths, axes)
-        In the unit of `spacing`.
-    """
-
-    bars: dict[str, tuple[float, float]]
-    phases: dict[str, tuple[Phase, list[F64]]]
-    radial: dict[str, tuple[F64, F64]]
-    fabric: tuple[F64, F64]
+    bars: dict[str, tuple[float, float]]  # values and standard errors of the numbers, and of "solid.chords" ...
+    phases: dict[str, tuple[Phase, list[F64]]]  # curves, and errors of `pairs`, `cluster`, `path`
+    radial: dict[str, tuple[F64, F64]]  # distances, and S2 over all directions
+    fabric: tuple[F64, F64]  # lengths, in the unit of the spacing, and axes
 
 
 def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, distances: int, parts: int) -> Described:
     """Describe an image (x, y, z); with `parts` of 1 there are no error bars."""
     blocks = st.blocks_of(solid.shape, parts) if parts > 1 else []
     own = [_numbers(solid[block], spacing, False) for block in blocks]
-    bars = {
-        name: (value, _error([one[name] for one in own])) for name, value in _numbers(solid, spacing, wraps).items()
-    }
+    numbers = _numbers(solid, spacing, wraps)
+    bars = {name: (value, _error([one[name] for one in own])) for name, value in numbers.items()}
     phases = {}
     at, both, rest = st.radial_pairs(solid, distances, wraps)
     for name, phase in (("solid", solid), ("void", ~solid)):

@@ -7,14 +7,13 @@ of points over their distance, so that curves along the axes take no longer than
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.numerics import inline_jit, jit
-
-F64 = NDArray[np.float64]
+from sppm_pipeline.services.arrays import F64, I32, I64, Bools
 
 DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1),
               (1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1))  # fmt: skip
@@ -22,35 +21,22 @@ DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1),
 
 
 class Lines(NamedTuple):
-    """Curves along an axis over distances 0, 1, 2 ... voxels, and chords.
+    """Curves (m,) along an axis over distances 0, 1, 2 ... voxels, and chords (n + 1,)."""
 
-    Attributes
-    ----------
-    pairs : (m,) float64
-        Two-point probability S2: both ends lie in the phase.
-    cluster : (m,) float64
-        Both ends lie in one connected part of it.
-    path : (m,) float64
-        Lineal path: the whole line lies in it.
-    chords : (n + 1,) float64
-        Number of runs by length, those that a side cuts off left out.
-    """
-
-    pairs: F64
-    cluster: F64
-    path: F64
-    chords: F64
+    pairs: F64  # two-point probability S2: both ends lie in the phase
+    cluster: F64  # both ends lie in one connected part of it
+    path: F64  # lineal path: the whole line lies in it
+    chords: F64  # number of runs by length, those that a side cuts off left out
 
 
-def along_axis(labels: NDArray[np.int32], axis: int, distances: int, wraps: bool) -> Lines:
+def along_axis(labels: I32, axis: int, distances: int, wraps: bool) -> Lines:
     """Curves along an axis of a phase with labels (z, y, x), 0 outside; `wraps` says whether opposite sides meet."""
+    rows = labels
     if axis:  # plane by plane, as strides of a whole layer would miss the processor's cache
         planes = labels if axis == 1 else np.moveaxis(labels, 1, 0)
         rows = np.empty((len(planes), planes.shape[2], planes.shape[1]), np.int32)
         for plane, own in zip(planes, rows, strict=True):
             own[:] = plane.T
-    else:
-        rows = labels
     n = rows.shape[2]
     counts, chords = np.zeros((3, distances + 3)), np.zeros(n + 1)
     _count_lines(rows.reshape(-1, n), distances, wraps, counts, chords)
@@ -78,14 +64,13 @@ def _trapezoid(counts: F64, a: int, b: int, c: int, d: int) -> None:
 def _half(counts: F64, length: int) -> None:
     """Note the pairs of a point of a run and one that is not before it: length - r of them at the distance r."""
     counts[0] += length
-    if len(counts) > 1:
-        counts[1] -= length + 1
+    counts[1] -= length + 1
     if length + 1 < len(counts):
         counts[length + 1] += 1.0
 
 
 @jit
-def _count_lines(rows: NDArray[np.int32], distances: int, wraps: bool, counts: F64, chords: F64) -> None:
+def _count_lines(rows: I32, distances: int, wraps: bool, counts: F64, chords: F64) -> None:
     n = rows.shape[1]
     starts, ends, of = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int32)
     for row in rows:
@@ -131,7 +116,7 @@ def _count_lines(rows: NDArray[np.int32], distances: int, wraps: bool, counts: F
                         _trapezoid(counts[1], starts[a], ends[a], starts[b] + n, ends[b] + n)
 
 
-def radial_pairs(phase: NDArray[np.bool_], distances: int, wraps: bool) -> tuple[F64, F64, F64]:
+def radial_pairs(phase: Bools, distances: int, wraps: bool) -> tuple[F64, F64, F64]:
     """S2 in all directions: mean distances of shells at 0, 1, 2 ... voxels, its mean over each, and that of the rest.
 
     By the Fourier transform, padded where nothing wraps. Both ends lie in the rest unless one is in the phase.
@@ -169,23 +154,21 @@ def radial_pairs(phase: NDArray[np.bool_], distances: int, wraps: bool) -> tuple
     return at, own, other
 
 
-def _ends(phase: NDArray[np.bool_], offsets: list[NDArray[np.int64]], wraps: bool) -> F64:
+def _ends(phase: Bools, offsets: list[I64], wraps: bool) -> F64:
     """Voxels of the phase from which a step by each offset ends in the image."""
     if wraps:
         return np.full([len(at) for at in offsets], float(np.count_nonzero(phase)))
     sums = np.pad(phase.astype(np.int32), ((1, 0),) * 3)
     for axis in range(3):
         np.cumsum(sums, axis, out=sums)
-    low, high = [np.maximum(0, -at) for at in offsets], [n - np.maximum(0, at) for at, n in
-                                                        zip(offsets, phase.shape, strict=True)]  # fmt: skip
+    ends = [(np.maximum(0, -at), n - np.maximum(0, at)) for at, n in zip(offsets, phase.shape, strict=True)]
     found = np.zeros([len(at) for at in offsets])
-    for i, j, k in np.ndindex(2, 2, 2):
-        sign = 1 if (i + j + k) % 2 else -1
-        found += sign * sums[np.ix_((low, high)[i][0], (low, high)[j][1], (low, high)[k][2])]
+    for at in np.ndindex(2, 2, 2):
+        found += (1 if sum(at) % 2 else -1) * sums[np.ix_(*(end[i] for end, i in zip(ends, at, strict=True)))]
     return found
 
 
-def configurations(phase: NDArray[np.bool_], wraps: bool) -> NDArray[np.int64]:
+def configurations(phase: Bools, wraps: bool) -> I64:
     """How often each pattern of 2 x 2 x 2 voxels occurs, (256,); bit i + 2 j + 4 k is the voxel at (i, j, k).
 
     Without `wraps`, patterns lie inside of the image (x, y, z), of which x is contiguous at best.
@@ -206,27 +189,15 @@ def configurations(phase: NDArray[np.bool_], wraps: bool) -> NDArray[np.int64]:
 
 
 class Minkowski(NamedTuple):
-    """Densities per volume of the image.
+    """Densities per volume of the image."""
 
-    Attributes
-    ----------
-    volume : float
-        Share of the phase.
-    surface : float
-        Area by the Cauchy-Crofton formula over thirteen directions.
-    curvature : float
-        Integral of the mean curvature, from the Euler numbers of sections along the axes.
-    euler : float
-        Euler number; parts touch across faces, as everywhere in this program.
-    """
-
-    volume: float
-    surface: float
-    curvature: float
-    euler: float
+    volume: float  # share of the phase
+    surface: float  # area by the Cauchy-Crofton formula over thirteen directions
+    curvature: float  # integral of the mean curvature, from the Euler numbers of sections along the axes
+    euler: float  # parts touch across faces, as everywhere in this program
 
 
-def minkowski(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> Minkowski:
+def minkowski(counts: I64, spacing: tuple[float, float, float]) -> Minkowski:
     """Minkowski numbers from the counts of patterns; Ohser and Mücklich 2000, "Statistical Analysis of Microstructures
     in Materials Science". Lengths are in the unit of `spacing`.
     """
@@ -238,7 +209,7 @@ def minkowski(counts: NDArray[np.int64], spacing: tuple[float, float, float]) ->
     edges = [[b for b in range(8) if b >> axis & 1 == side] for axis in range(3) for side in range(2)]
     faces = [[b, b | 1 << axis] for axis in range(3) for b in range(8) if not b >> axis & 1]
 
-    def euler(x: NDArray[np.bool_]) -> F64:
+    def euler(x: Bools) -> F64:
         """Of the union of closed voxels: corners less edges plus faces less voxels, by their share of the pattern."""
         corner = x.any(0).astype(float)
         half = sum(x[four].any(0).astype(float) for four in edges)
@@ -259,7 +230,7 @@ def minkowski(counts: NDArray[np.int64], spacing: tuple[float, float, float]) ->
     return Minkowski(share_of(counts), 2 * float(crossings @ weights), bend, float(counts @ chi) / (number * cell))
 
 
-def crossing_rates(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> F64:
+def crossing_rates(counts: I64, spacing: tuple[float, float, float]) -> F64:
     """Changes of phase for each length of a line along the thirteen directions, (13,)."""
     codes, number = np.arange(256), float(counts.sum())
     rates = []
@@ -282,7 +253,7 @@ def _weights(spacing: tuple[float, float, float]) -> F64:
     return np.asarray(np.bincount(nearest, minlength=13) / 20000.0)
 
 
-def fabric(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> tuple[F64, F64]:
+def fabric(counts: I64, spacing: tuple[float, float, float]) -> tuple[F64, F64]:
     """Mean intercept lengths along the axes of the ellipsoid that fits them best, and these axes, longest first.
 
     The mean length along a direction is twice the share of the phase over the changes of phase (Harrigan and Mann
@@ -303,12 +274,12 @@ def fabric(counts: NDArray[np.int64], spacing: tuple[float, float, float]) -> tu
     return np.where(values > 0, 1 / np.sqrt(np.maximum(values, 1e-300)), np.inf), axes.T
 
 
-def share_of(counts: NDArray[np.int64]) -> float:
+def share_of(counts: I64) -> float:
     """Share of the phase in the patterns."""
     return float(counts @ np.array([c.bit_count() for c in range(256)])) / (8 * float(counts.sum()))
 
 
-def entry_sizes(squared: NDArray[np.int32]) -> NDArray[np.int32]:
+def entry_sizes(squared: I32) -> I32:
     """The largest ball, as a squared radius, whose center reaches each voxel (z, y, x) from a side of the image.
 
     What a wetting or invading fluid decides: of all ways from the sides the widest, in its narrowest place. Voxels are
@@ -323,7 +294,7 @@ def entry_sizes(squared: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 @inline_jit
-def _root(parent: NDArray[np.int32], at: int) -> int:
+def _root(parent: I32, at: int) -> int:
     while parent[at] != at:
         parent[at] = parent[parent[at]]
         at = parent[at]
@@ -331,9 +302,7 @@ def _root(parent: NDArray[np.int32], at: int) -> int:
 
 
 @jit
-def _flood(
-    order: NDArray[np.int64], squared: NDArray[np.int32], nz: int, ny: int, nx: int, out: NDArray[np.int32]
-) -> None:
+def _flood(order: I64, squared: I32, nz: int, ny: int, nx: int, out: I32) -> None:
     """Join voxels in order; a part that meets the sides gives its size to all it holds, which are kept in lists."""
     size = squared.size
     parent = np.full(size, -1, np.int32)
@@ -349,14 +318,8 @@ def _flood(
             open_[at] = 1
             out[at] = level
         for side in range(6):
-            z, y, x = k, j, i
-            step = 1 if side % 2 else -1
-            if side < 2:
-                z += step
-            elif side < 4:
-                y += step
-            else:
-                x += step
+            axis, step = side // 2, side % 2 * 2 - 1
+            z, y, x = k + step * (axis == 0), j + step * (axis == 1), i + step * (axis == 2)
             if z < 0 or y < 0 or x < 0 or z >= nz or y >= ny or x >= nx:
                 continue
             other = (z * ny + y) * nx + x
@@ -379,10 +342,7 @@ def _flood(
             parent[b] = a
 
 
-def blocks_of(shape: tuple[int, ...], parts: int) -> list[tuple[slice, slice, slice]]:
+def blocks_of(shape: tuple[int, ...], parts: int) -> list[tuple[slice, ...]]:
     """Equal blocks of an image, `parts` along each axis."""
-    cuts: list[Any] = [np.linspace(0, n, parts + 1).astype(int) for n in shape]
-    return [
-        (slice(cuts[0][i], cuts[0][i + 1]), slice(cuts[1][j], cuts[1][j + 1]), slice(cuts[2][k], cuts[2][k + 1]))
-        for i, j, k in np.ndindex(parts, parts, parts)
-    ]
+    ends = [np.linspace(0, n, parts + 1).astype(int) for n in shape]
+    return list(product(*([slice(a, b) for a, b in pairwise(cuts)] for cuts in ends)))

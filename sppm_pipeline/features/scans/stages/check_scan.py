@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import (
     ConfigError,
@@ -17,21 +16,25 @@ from sppm_pipeline import (
     ScalarField,
     Size,
     Stage,
-    Voxels,
     option,
     options,
 )
 from sppm_pipeline.features.scans.numerics.describing import balls_of
-from sppm_pipeline.features.scans.numerics.registration import Motion, registered, surface_of
-from sppm_pipeline.features.scans.properties import properties_of
+from sppm_pipeline.features.scans.stages.tune_match import properties_of
 from sppm_pipeline.method.stages.extract_phases import crossings
 from sppm_pipeline.numerics import cell_centers
+from sppm_pipeline.services.arrays import F32, F64, Bools
 
 FAR = 5.0
 """Voxels up to which a point of the scan belongs to a surface of the design."""
 
 MIN_MATCHED = 0.5
 """Share of the surface of a scan without a partner, below which the registration has failed."""
+
+MAX_POINTS = 20_000
+"""Points that decide the motion; more do not change it beyond a hundredth of a voxel."""
+
+MAX_ROUNDS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +69,8 @@ class CheckScan(Stage):
 
     def run(self, context: Context, design: ScalarField, scan: ScalarField) -> None:
         """Register, and compare."""
+        from scipy.spatial.transform import Rotation
+
         if (design.edge_mm is None) != (scan.edge_mm is None):
             missing = "design" if design.edge_mm is None else "scan"
             raise ConfigError(
@@ -104,7 +109,8 @@ class CheckScan(Stage):
             unit="mm" if scan.edge_mm else "cell size", voxel=voxel, thickness_bias=2 * mean * voxel,
             distance={"mean": mean * voxel, "quantiles": quantiles,
                       "deviation": float(np.sqrt(((away - mean) ** 2) @ areas / areas.sum())) * voxel},
-            matched=matched, shift=(motion.shift * voxel).tolist(), angle=motion.angle,
+            matched=matched, shift=(motion.shift * voxel).tolist(),
+            angle=float(np.degrees(Rotation.from_matrix(motion.turn).magnitude())),
             overlap=_overlap(values, motion, lower, h / voxel, design.periodic),
             porosity=[1 - float(one.mean()) for one in solid],
             thickness=[float(step) * balls_of(one, field.periodic, 1).mean
@@ -112,21 +118,15 @@ class CheckScan(Stage):
         )  # fmt: skip
         if self.properties:
             found = [
-                properties_of(
-                    context, Voxels.from_array(one.astype(np.uint8), spacing=float(step), periodic=field.periodic),
-                    "periodic" if field.periodic else "mirror",
-                )
+                properties_of(context, one, float(step), field.periodic)
                 for one, field, step in zip(solid, (scan, design), h, strict=True)
-            ]  # fmt: skip
+            ]
             context.report(scan=found[0], design=found[1])
             for name in ("stiffness", "permeability"):
                 context.report(**{f"{name}_ratio": found[0][name] / found[1][name] if found[1][name] else None})
 
 
-def _overlap(
-    values: list[NDArray[np.float32]], motion: Motion, lower: NDArray[np.float64], h: NDArray[np.float64],
-    periodic: bool,
-) -> float:  # fmt: skip
+def _overlap(values: list[F32], motion: Motion, lower: F64, h: F64, periodic: bool) -> float:
     """Voxels of the scan that are solid in both, over those that are in either."""
     from scipy.ndimage import map_coordinates
 
@@ -143,3 +143,76 @@ def _overlap(
         both += int(np.count_nonzero(meant & built & inside))
         either += int(np.count_nonzero((meant | built) & inside))
     return both / either if either else 0.0
+
+
+class Surface(NamedTuple):
+    """Points (n, 3), their outward normals (n, 3), and the area that each stands for (n,), in any unit."""
+
+    points: F64
+    normals: F64
+    areas: F64
+
+
+def surface_of(values: F32, crossings: F64) -> Surface:
+    """The surface of samples (z, y, x) at the points where lines of the grid cross it, (n, 3) x, y, z in its steps."""
+    from scipy.ndimage import map_coordinates
+
+    at = crossings[:, ::-1].T
+    slopes = [map_coordinates(part, at, order=1, mode="nearest") for part in np.gradient(values.astype(np.float64))]
+    normals = np.stack(slopes[::-1], 1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    # lines of the grid cross a surface as often as its normal leans towards all axes
+    return Surface(crossings, normals, 1 / np.maximum(np.abs(normals).sum(1), 1e-9))
+
+
+class Motion(NamedTuple):
+    """``x -> turn (x - middle) + middle + shift``."""
+
+    turn: F64  # (3, 3)
+    shift: F64  # (3,)
+    middle: F64
+
+    def of(self, points: F64) -> F64:
+        """Points (n, 3), moved."""
+        return np.asarray((points - self.middle) @ self.turn.T + self.middle + self.shift)
+
+
+def registered(scan: Surface, design: Surface, far: float, threads: int = 1) -> tuple[Motion, F64, F64]:
+    """The motion that lays the surface of a scan onto that of its design, distances afterwards, and their areas.
+
+    Each round finds the nearest points of the design and moves the scan so that its distances to the planes there have
+    the least squares about a common distance (Chen and Medioni 1992), as surfaces that grew everywhere are no motion.
+    Distances (m,) are positive outside of the design, of up to `far`, in the unit of the points.
+    """
+    from scipy.spatial import cKDTree
+    from scipy.spatial.transform import Rotation
+
+    tree = cKDTree(design.points)
+    middle = scan.points.mean(0)
+    motion = Motion(np.eye(3), np.zeros(3), middle)
+    step = max(1, len(scan.points) // MAX_POINTS)
+    points, normals, areas = (each[::step] for each in scan)
+    for _ in range(MAX_ROUNDS):
+        moved = motion.of(points)
+        away, plane, fits = _distances(tree, design, moved, normals @ motion.turn.T, far, threads)
+        w = np.sqrt(areas[fits])
+        arm = moved[fits] - (middle + motion.shift)
+        system = np.hstack([plane, np.cross(arm, plane), -np.ones((len(plane), 1))])
+        found = np.linalg.lstsq(system * w[:, None], -away * w, rcond=None)[0]
+        motion = Motion(Rotation.from_rotvec(found[3:6]).as_matrix() @ motion.turn, motion.shift + found[:3], middle)
+        if np.linalg.norm(found[:3]) + np.linalg.norm(found[3:6]) * far < 1e-5 * far:
+            break
+    away, _, fits = _distances(tree, design, motion.of(scan.points), scan.normals @ motion.turn.T, far, threads)
+    return motion, away, scan.areas[fits]
+
+
+def _distances(
+    tree: Any, design: Surface, points: F64, normals: F64, far: float, threads: int
+) -> tuple[F64, F64, Bools]:
+    """Distances to the planes at the nearest points, these planes' normals, and which points have any that fits."""
+    away, nearest = tree.query(points, workers=threads)
+    planes = design.normals[nearest]
+    # another side of a thin wall is no partner
+    fits = (away < far) & ((planes * normals).sum(1) > 0.5)
+    along = ((points - design.points[nearest]) * planes).sum(1)
+    return along[fits], planes[fits], fits

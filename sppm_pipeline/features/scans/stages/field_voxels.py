@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline import Context, Palette, ScalarField, Size, Voxels
-from sppm_pipeline.features.scans.image_stage import ImageStage
+from sppm_pipeline.features.scans.image_field import ImageStage
 from sppm_pipeline.nouns import Geometry
 
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Context, DesignError, Headline, Palette, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.engine.process.budget import require_memory
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport
 from sppm_pipeline.numerics import cell_centers
+from sppm_pipeline.services.arrays import F64, Bools
 
 BYTES_OF_A_VOXEL = 40
 """Labels, and the image padded by a quarter on each axis and its spectrum."""
@@ -78,21 +78,20 @@ class MeasureStatistics(Stage):
         if max(spacing) > 1.01 * min(spacing):
             context.warn(f"voxels have the edges {spacing}; distances over all directions and sizes take them as cubes")
         found = described(solid, spacing, wraps, reach, self.subcubes)
-        curves: dict[str, NDArray[np.float64]] = {}
+        curves: dict[str, F64] = {}
         numbers = {}
         for number, (name, phase) in enumerate((("solid", solid), ("void", ~solid))):
             along, errors = found.phases[name]
             balls = balls_of(phase, wraps, max(self.subcubes, 2))
             at, both = found.radial[name]
-            curves[f"{name}.S2"] = np.stack([h * at, both, _reaching(errors[0], len(at))], 1)
+            curves[f"{name}.S2"] = np.stack([h * at, both, errors[0]], 1)
             for kind, curve, bar in (("cluster", along.cluster, errors[1]), ("path", along.path, errors[2])):
                 curves[f"{name}.{kind}"] = np.stack([h * np.arange(len(curve)), curve, bar], 1)
             lengths = np.flatnonzero(along.chords)
             density = along.chords[lengths] / max(along.chords.sum() * h, 1e-300)
             curves[f"{name}.chords"] = np.stack([h * lengths, density, np.full(len(lengths), np.nan)], 1)
-            curves[f"{name}.thickness"] = np.stack(
-                [h * balls.sizes, balls.shares, np.full(len(balls.sizes), np.nan)], 1
-            )
+            bare = np.full(len(balls.sizes), np.nan)
+            curves[f"{name}.thickness"] = np.stack([h * balls.sizes, balls.shares, bare], 1)
             mean, error = found.bars[f"{name}.chords"]
             numbers[name] = {
                 "chord": h * mean, "chord_error": h * error,
@@ -116,7 +115,7 @@ class MeasureStatistics(Stage):
 
 def sampled(
     context: Context, source: ScalarField | Voxels, resolution: int
-) -> tuple[NDArray[np.bool_], tuple[float, float, float], str, bool]:
+) -> tuple[Bools, tuple[float, float, float], str, bool]:
     """The solid of a field or image (x, y, z), the edges of a voxel, their unit, and whether opposite sides meet."""
     if isinstance(source, Voxels):
         return source.solid(), source.spacing, "mm" if source.physical else "cell size", all(source.periodic)
@@ -124,8 +123,3 @@ def sampled(
         context.warn(coarse)
     solid = source.solid(cell_centers(resolution, source.cells), context.threads).view(np.bool_)
     return solid, ((source.edge_mm or 1.0) / resolution,) * 3, "mm" if source.edge_mm else "cell size", source.periodic
-
-
-def _reaching(values: NDArray[np.float64], length: int) -> NDArray[np.float64]:
-    """A curve of so many values, cut or followed by NaN."""
-    return np.pad(values[:length], (0, max(0, length - len(values))), constant_values=np.nan)

@@ -32,7 +32,6 @@ class PrintSimulate(Stage):
     spread: Length = option(help="standard deviation of the light in the plane", unit="mm", minimum=0, maximum=10)
     penetration: Length = options.penetration()
     cure_depth: Length = options.cure_depth()
-
     beyond: str = option(
         "dark", help="what is beyond the sides of the stack: nothing, or its mirror images, as of a piece of a part",
         choices=("dark", "mirror"),

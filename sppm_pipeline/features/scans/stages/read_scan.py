@@ -22,7 +22,7 @@ from sppm_pipeline import (
     options,
 )
 from sppm_pipeline.engine.process.budget import require_memory
-from sppm_pipeline.features.scans.image_stage import ImageStage
+from sppm_pipeline.features.scans.image_field import ImageStage
 from sppm_pipeline.nouns import Geometry
 from sppm_pipeline.services.segmentation import labels_of, otsu
 

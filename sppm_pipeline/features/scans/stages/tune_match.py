@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +25,18 @@ from sppm_pipeline import (
     option,
     options,
 )
-from sppm_pipeline.features.scans.numerics.matching import KINDS, Look, differences, distance
-from sppm_pipeline.features.scans.properties import properties_of
+from sppm_pipeline.engine.api.registering import registry
+from sppm_pipeline.features.scans.numerics import statistics as st
+from sppm_pipeline.features.scans.numerics.describing import Balls, Phase, balls_of, curves_of
 from sppm_pipeline.features.scans.stages.measure_statistics import sampled
+from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
+from sppm_pipeline.method.porosity.level import cut_for_porosity
 from sppm_pipeline.numerics import cell_centers
+from sppm_pipeline.services.arrays import F64, Bools
+
+KINDS = ("S2", "chords", "thickness", "fabric")
+"""Statistics that are matched; the porosity always is."""
 
 MIN_VOXELS = 16
 """Along an edge of the cell that a recipe makes."""
@@ -105,11 +112,9 @@ class TuneMatch(Stage):
         trials: dict[tuple[float, ...], tuple[float, ScalarField | None]] = {}
         failures: list[str] = []
 
-        def evaluate(place: NDArray[np.float64]) -> float:
-            at = tuple(
-                _rounded(one, a + (b - a) * float(np.clip(p, 0, 1)))
-                for one, (a, b), p in zip(varied, ranges, place, strict=True)
-            )
+        def evaluate(place: F64) -> float:
+            numbers = [a + (b - a) * float(np.clip(p, 0, 1)) for (a, b), p in zip(ranges, place, strict=True)]
+            at = tuple(float(round(v)) if one.whole else v for one, v in zip(varied, numbers, strict=True))
             if at in trials:
                 return trials[at][0]
             found, first = [], None
@@ -134,12 +139,9 @@ class TuneMatch(Stage):
         value, made = trials[best]
         if made is None:
             raise DesignError(f"no trial made a structure: {failures[0] if failures else 'none was drawn'}")
-        image = _image(made, spacing[0], unit, context.threads)
+        image = made.sample(_grid(made, spacing[0], unit), context.threads) < 0
         context.report(distance=value, values=list(best), evaluations=len(trials), failed=len(failures))
-        found = differences(target, Look.at(image, True, reach))
-        context.report(**{name: number for name, number in found.items() if "." not in name})
-        for kind in ("chords", "thickness"):
-            context.report(**{kind: {phase: found[f"{kind}.{phase}"] for phase in ("solid", "void")}})
+        context.report(**differences(target, Look.at(image, True, reach)))
         for name, at, (a, b) in zip(self.vary, best, ranges, strict=True):
             if min(at - a, b - at) < 0.01 * (b - a):
                 context.warn(f"the best {name} is {at:g}, at the end of its range from {a:g} to {b:g}: widen it")
@@ -168,35 +170,24 @@ class TuneMatch(Stage):
     def _made(
         self, context: Context, recipe: Recipe, varied: Sequence[Varied], at: Sequence[float], draw: int,
         porosity: float, voxel: float, unit: str,
-    ) -> tuple[ScalarField, NDArray[np.bool_]]:  # fmt: skip
+    ) -> tuple[ScalarField, Bools]:  # fmt: skip
         """What the recipe makes, cut at the porosity, and its voxels."""
         made = recipe.run(context, palette=context.palette, attempt=draw, options=options_at(varied, at))
         if not isinstance(made, ScalarField) or not made.periodic:
             raise ConfigError(f"the recipe {recipe.name!r} makes no field of a cell that repeats")
         values = made.sample(_grid(made, voxel, unit), context.threads)
-        rank = min(max(round((1 - porosity) * values.size), 1), values.size - 1)
-        ordered = np.partition(values.ravel(order="K"), (rank - 1, rank))
-        cut = float(ordered[rank - 1] / 2 + ordered[rank] / 2)
+        cut = cut_for_porosity(values, porosity).level
         return made.cut_at(cut), values < cut
 
-    def _compare(
-        self, context: Context, scan: NDArray[np.bool_], twin: NDArray[np.bool_], voxel: float, wraps: bool
-    ) -> None:
+    def _compare(self, context: Context, scan: Bools, twin: Bools, voxel: float, wraps: bool) -> None:
         """Measure and say what was not matched."""
-        found = {}
-        for name, solid, repeats in (("scan", scan, wraps), ("twin", twin, True)):
-            image = Voxels.from_array(solid.astype(np.uint8), spacing=voxel, periodic=repeats)
-            found[name] = properties_of(context, image, "periodic" if repeats else "mirror")
-            context.report(**{name: found[name]})
+        images = {"scan": (scan, wraps), "twin": (twin, True)}
+        found = {name: properties_of(context, solid, voxel, repeats) for name, (solid, repeats) in images.items()}
         off = {
             key: found["twin"][key] / found["scan"][key] - 1 if found["scan"][key] else None
             for key in ("stiffness", "permeability")
         }
-        context.report(held_out=off)
-
-
-def _rounded(varied: Varied, value: float) -> float:
-    return float(round(value)) if varied.whole else value
+        context.report(held_out=off, **found)
 
 
 def _grid(field: ScalarField, voxel: float, unit: str) -> Any:
@@ -215,5 +206,105 @@ def _grid(field: ScalarField, voxel: float, unit: str) -> Any:
     return cell_centers(count, field.cells)
 
 
-def _image(field: ScalarField, voxel: float, unit: str, threads: int) -> NDArray[np.bool_]:
-    return field.sample(_grid(field, voxel, unit), threads) < 0
+class Look(NamedTuple):
+    """Statistics of an image, lengths in voxels."""
+
+    share: float  # of the solid
+    pairs: F64  # S2 over distances, (m,)
+    phases: tuple[Phase, Phase]  # solid, void
+    balls: tuple[Balls, Balls]
+    fabric: F64  # mean intercept lengths of the solid, longest first, (3,)
+
+    @classmethod
+    def at(cls, solid: Bools, wraps: bool, distances: int) -> Look:
+        """Look at an image (x, y, z)."""
+        void = ~solid
+        return cls(
+            float(solid.mean()), st.radial_pairs(solid, distances, wraps)[1],
+            (curves_of(solid, distances, wraps), curves_of(void, distances, wraps)),
+            (balls_of(solid, wraps, 1), balls_of(void, wraps, 1)),
+            st.fabric(st.configurations(solid, wraps), (1.0,) * 3)[0],
+        )  # fmt: skip
+
+    def chord(self, phase: int) -> float:
+        """Mean chord of the solid (0) or void (1); NaN without one."""
+        counts = self.phases[phase].chords
+        return float(counts @ np.arange(len(counts)) / counts.sum()) if counts.any() else math.nan
+
+
+def differences(scan: Look, twin: Look) -> dict[str, Any]:
+    """Relative differences of a twin, with a sign where they are of numbers; of S2 the largest absolute one."""
+    m, names = min(len(scan.pairs), len(twin.pairs)), ("solid", "void")
+    a, b = (look.fabric[0] / look.fabric[2] if look.fabric[2] > 0 else math.nan for look in (scan, twin))
+    return {
+        "porosity": scan.share - twin.share, "S2": float(np.abs(scan.pairs[:m] - twin.pairs[:m]).max()),
+        "chords": {name: twin.chord(k) / scan.chord(k) - 1 for k, name in enumerate(names)},
+        "thickness": {name: twin.balls[k].mean / scan.balls[k].mean - 1 for k, name in enumerate(names)},
+        "fabric": b / a - 1,
+    }  # fmt: skip
+
+
+def distance(scan: Look, twin: Look, kinds: tuple[str, ...]) -> float:
+    """Root of the mean square of what is to be matched; 1 stands for another structure altogether.
+
+    S2 counts by the root mean square difference over its range, chords and thickness by the relative difference of
+    their means and the area between their distribution functions, over the mean; fabric by that of intercepts.
+    """
+    parts: list[float] = []
+    if "S2" in kinds:
+        m = min(len(scan.pairs), len(twin.pairs))
+        spread = scan.share * (1 - scan.share)
+        parts.append(float(np.sqrt(np.mean((scan.pairs[:m] - twin.pairs[:m]) ** 2))) / spread)
+    for number in range(2):
+        if "chords" in kinds:
+            sizes = [np.arange(len(look.phases[number].chords), dtype=float) for look in (scan, twin)]
+            parts.append(_apart(sizes[0], scan.phases[number].chords, sizes[1], twin.phases[number].chords))
+        if "thickness" in kinds:
+            a, b = scan.balls[number], twin.balls[number]
+            parts.append(_apart(a.sizes, a.shares, b.sizes, b.shares))
+    if "fabric" in kinds:
+        parts.append(float(np.linalg.norm(twin.fabric / twin.fabric.mean() - scan.fabric / scan.fabric.mean())))
+    values = np.array(parts)
+    return float(np.sqrt(np.mean(values**2))) if np.isfinite(values).all() else 1.0
+
+
+def _apart(a: F64, weights_a: F64, b: F64, weights_b: F64) -> float:
+    """The area between two distribution functions over the mean of the first (the distance of Wasserstein)."""
+    from scipy.stats import wasserstein_distance
+
+    if not weights_a.sum() or not weights_b.sum():
+        return 1.0
+    return float(wasserstein_distance(a, b, weights_a, weights_b) / (a @ weights_a / weights_a.sum()))
+
+
+class _Silent(Quiet):
+    """A context whose warnings and numbers go nowhere."""
+
+    def report(self, **values: Any) -> None:
+        """Drop numbers."""
+
+
+def properties_of(context: Context, solid: NDArray[np.bool_], voxel: float, periodic: bool) -> dict[str, Any]:
+    """Stiffness of the solid (x, y, z) and permeability of the void; with mirror images of what is not periodic.
+
+    Returns
+    -------
+    dict
+        `stiffness`, the mean of C11, C22 and C33 over Young's modulus of the solid; `C`, these three; `permeability`,
+        the mean along the axes, mm^2; `k`, these three. All 0 where nothing carries or flows.
+    """
+    image, sides = Voxels.from_array(solid, spacing=voxel, periodic=periodic), "periodic" if periodic else "mirror"
+    silent = cast(Context, _Silent(context))
+    found: dict[str, Any] = {"sides": sides}
+    for name, number, stage, scale in (
+        ("stiffness", "C", "homogenize.voxel", 1.0), ("permeability", "k", "homogenize.permeability", 1e6),
+    ):  # fmt: skip
+        try:
+            made: Any = registry().get(stage)
+            report = made(sides=sides, grids=1).run(silent, image)
+            tensor = report.stiffness[:3, :3] if name == "stiffness" else report.m2
+            values = [scale * float(value) for value in np.diag(tensor)]
+        except DesignError:  # no way through along any axis
+            values = [0.0, 0.0, 0.0]
+        found |= {name: sum(values) / 3, number: values}
+    return found

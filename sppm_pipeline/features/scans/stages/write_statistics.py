@@ -42,10 +42,7 @@ class WriteStatistics(Stage):
         picture = chart(series, self.path, title=self.title, x_label=f"length / {unit}", y_label=words)
         context.output(self.path).write_bytes(picture)
         lines = ["curve,distance,value,error"]
-        lines += [
-            f"{name}," + ",".join(f"{value:.8g}" for value in row)
-            for name, rows in report.curves.items()
-            for row in rows
-        ]
+        for name, rows in report.curves.items():
+            lines += [f"{name}," + ",".join(f"{value:.8g}" for value in row) for row in rows]
         stem = str(PurePosixPath(self.path).with_suffix(".csv"))
         context.output(stem).write_text("\n".join(lines) + "\n", encoding="ascii")
