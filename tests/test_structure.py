@@ -13,8 +13,6 @@ import sppm_pipeline
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sppm_pipeline"
-TEMPLATES = PACKAGE / "engine" / "cli" / "templates"
-"""Data of `sppm new`: files of other distributions."""
 MAXIMUM_LINES = 450
 SMALL, MAXIMUM_SMALL = 60, 25
 
@@ -28,7 +26,7 @@ def modules() -> dict[str, int]:
 
 def python_files() -> list[Path]:
     """Modules of the package."""
-    return [path for path in PACKAGE.rglob("*.py") if not path.is_relative_to(TEMPLATES)]
+    return [*PACKAGE.rglob("*.py")]
 
 
 def test_no_file_is_long():

@@ -22,6 +22,12 @@ _CHUNK = 1 << 16
 DISK = "make room on the disk, or choose another place with -o; the same command again goes on"
 
 
+def packaged_folder() -> Path:
+    """The folder that holds `configs` and `examples`: in a wheel the package, in a checkout the one around it."""
+    package = Path(__file__).resolve().parents[1]
+    return package if (package / "configs").is_dir() else package.parent
+
+
 def files_in(path: Path) -> list[str]:
     """Names of all files below a folder, in order, relative to it, with slashes; links to folders are not followed."""
     found: list[str] = []

@@ -9,12 +9,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import NamedTuple
 
+from sppm_pipeline.engine.files import packaged_folder
 from sppm_pipeline.errors import ConfigError
 
 SCHEMA = "sppm.schema.json"
 """Name of the schema beside new pipelines, by which editors check and complete them."""
 
-TEMPLATES = Path(__file__).parent / "templates"
+TEMPLATES = packaged_folder() / "examples" / "new"
 """Folder of the templates, with names to be replaced: ``pipeline.yaml``, what all plugins share, and a folder for each
 kind."""
 

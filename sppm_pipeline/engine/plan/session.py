@@ -18,7 +18,7 @@ from sppm_pipeline.engine.config.configuration import Configuration, parse_confi
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, read_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed
-from sppm_pipeline.engine.files import write_whole
+from sppm_pipeline.engine.files import packaged_folder, write_whole
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
@@ -42,9 +42,7 @@ def find_configuration(name: str) -> Path:
 
 def packaged_configurations() -> dict[str, Path]:
     """Configurations and examples that come with the program, by name."""
-    package = Path(__file__).resolve().parents[2]
-    # a wheel carries them in the package; in a checkout they lie beside it
-    home = package if (package / "configs").is_dir() else package.parent
+    home = packaged_folder()
     return {file.stem: file for folder in ("examples", "configs") for file in (home / folder).glob("*.yaml")}
 
 
