@@ -138,7 +138,7 @@ def _finite(values: tuple[float, ...]) -> tuple[float | None, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizePermeability(SidedHomogenizer, FlowHomogenizer):
+class HomogenizePermeability(FlowHomogenizer, SidedHomogenizer):
     """Compute the permeability of the pores of a periodic cell: Stokes flow on a staggered grid.
 
     Walls lie where the field is zero, between the points of the grid, which converges much faster than whole voxels;

@@ -58,9 +58,9 @@ class PrintSimulate(Stage):
         px, py = stack.pixel_mm
         sigma = self.spread.mm() / py, self.spread.mm() / px
         decay = math.exp(-h / depth)
-        # dose of one full exposure in the middle of its layer, over the critical one
-        own = math.exp((self.cure_depth.mm() - h / 2) / depth)
-        if own < 1:
+        # Critical dose over that of one full exposure in the middle of its layer; 1e-35 is any light at all.
+        critical = math.exp(min(max((h / 2 - self.cure_depth.mm()) / depth, -80.0), 80.0))
+        if critical > 1:
             context.warn(
                 f"one exposure cures {self.cure_depth.mm():g} mm, less than half a layer of {h:g} mm: only what later "
                 "layers add holds them together"
@@ -69,8 +69,8 @@ class PrintSimulate(Stage):
         for k in range(nz - 1, -1, -1):
             light = gaussian_filter(layers[k].astype(np.float32), sigma, mode=mode) if max(sigma) else layers[k]
             dose *= np.float32(decay)
-            dose += light * np.float32(own / 255)
-            layers[k] = dose >= 1
+            dose += light * np.float32(1 / 255)
+            layers[k] = dose >= np.float32(critical)
             context.progress(nz - k, nz, "layers")
         solid = float(layers.mean(dtype=np.float64))
         context.report(porosity_exposed=1 - exposed, porosity=1 - solid, grown=solid / exposed - 1 if exposed else 0.0)
