@@ -10,21 +10,9 @@ from typing import Any, ClassVar, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    Stage,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Length, Palette, Recipe, RecipeSize, Size, Stage, SurfaceMesh, option, options
 from sppm_pipeline.built_in import stage_class
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import Applied, SharedBody, VoxelBody, applied, held_solid, mesh_body
 from sppm_pipeline.features.parts.part_result import TOP, PartResult
 from sppm_pipeline.features.parts.pictures import Shell

@@ -11,25 +11,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Microstructure,
-    Palette,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    Stage,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Length, Microstructure, Recipe, RecipeSize, ScalarField, Size, Stage, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.connectivity.components import find_components
 from sppm_pipeline.method.families.tiler import without_faces
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
-from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.nouns.palette import Blocks, Palette
 from sppm_pipeline.services.arrays import F32
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.services.local_thickness import LimitSizes, limit_sizes, local_thickness

@@ -9,28 +9,15 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    InputError,
-    Microstructure,
-    Palette,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    Stage,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Microstructure, Palette, Recipe, RecipeSize, ScalarField, Stage, option, options
 from sppm_pipeline.built_in import stage_class
+from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit, interval, orthotropic, stretch_of
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
 from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_porosity
-from sppm_pipeline.nouns.size import sum_of
+from sppm_pipeline.nouns.size import Size, sum_of
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.elastic.voigt import mandel, rotated
 from sppm_pipeline.services.grid import cell_centers

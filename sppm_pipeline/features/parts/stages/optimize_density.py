@@ -9,20 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Length,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Headline, Length, Palette, Recipe, RecipeSize, Size, SurfaceMesh, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import SharedBody
 from sppm_pipeline.features.parts.material import DensityLaw, LoadedPart, Prepared, middles_of, prepared, solved, works
 from sppm_pipeline.method.nouns.conditions import LoadCases, region_of

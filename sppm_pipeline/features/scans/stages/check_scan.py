@@ -7,18 +7,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Palette,
-    ScalarField,
-    Size,
-    Stage,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Headline, Palette, ScalarField, Size, Stage, option, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.scans.numerics.describing import balls_of
 from sppm_pipeline.features.scans.stages.tune_match import properties_of
 from sppm_pipeline.method.stages.extract_phases import crossings

@@ -9,19 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    InputError,
-    Length,
-    Palette,
-    ScalarField,
-    Size,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Headline, Length, Palette, ScalarField, Size, option, options
 from sppm_pipeline.engine.process.budget import require_memory
+from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.scans.image_field import ImageStage
 from sppm_pipeline.nouns import Geometry
 from sppm_pipeline.services.segmentation import labels_of, otsu

@@ -10,28 +10,16 @@ from typing import Any, ClassVar, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Palette,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    Stage,
-    Voxels,
-    option,
-    options,
-)
+from sppm_pipeline import Context, Headline, Palette, Recipe, RecipeSize, ScalarField, Stage, Voxels, option, options
 from sppm_pipeline.engine.api.registering import registry
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.scans.numerics import statistics as st
 from sppm_pipeline.features.scans.numerics.describing import Balls, Phase, balls_of, curves_of
 from sppm_pipeline.features.scans.stages.measure_statistics import sampled
 from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
 from sppm_pipeline.method.porosity.level import cut_for_porosity
+from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.numerics import cell_centers
 from sppm_pipeline.services.arrays import F64, Bools
 
