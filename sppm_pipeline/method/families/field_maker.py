@@ -100,17 +100,10 @@ class PartFieldMaker(Formula):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MadeField(FormulaField):
-    """The field that a stage evaluates.
-
-    Attributes
-    ----------
-    maker : Formula
-    offset : float
-        Subtracted from the values.
-    """
+    """The field that a stage evaluates."""
 
     maker: Formula
-    offset: float = 0.0
+    offset: float = 0.0  # subtracted from the values
 
     def evaluate(self, x: F64, y: F64, z: F64) -> NDArray[np.floating]:
         values = self.maker.evaluate(x, y, z)

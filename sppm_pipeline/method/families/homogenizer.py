@@ -49,11 +49,15 @@ class VoxelCell(NamedTuple):
     edges: tuple[float, float, float]
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Voxels along x, y, z."""
+    def _given(self) -> U8 | F32:
         given = self.phase if self.phase is not None else self.fraction
         assert given is not None
-        nx, ny, nz = given.shape
+        return given
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along x, y, z."""
+        nx, ny, nz = self._given.shape
         return nx, ny, nz
 
     @property
@@ -67,10 +71,8 @@ class VoxelCell(NamedTuple):
 
     def occupied(self) -> U8:
         """1 where there is any solid."""
-        given = self.phase if self.phase is not None else self.fraction
-        assert given is not None
         # both have one byte: a view saves a copy
-        return (given > 0).view(np.uint8)
+        return (self._given > 0).view(np.uint8)
 
     def of_voxels(self, values: tuple[float, ...], dtype: DTypeLike) -> NDArray[Any]:
         """Voxels (nz, ny, nx) of values of the void and of each phase; by solid fraction, means weighted by volume."""

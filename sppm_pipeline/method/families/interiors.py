@@ -115,20 +115,10 @@ class Meetings:
 
 
 class Interiors:
-    """All interiors that a sampler fills.
+    """All interiors that a sampler fills, of `pores` that are there already.
 
-    Attributes
-    ----------
-    pores : PoreSet
-        Pores that are there already.
-    gap : float
-        From the faces to the box of the interior pores, cell sizes.
-    spacing : float or None
-        Spacing that the sampler was asked for, or of the pores thrown before, cell sizes.
-    face_pores : int
-        See `InteriorBox`.
-    alike : bool
-        Whether all have the same number of pores and the same spacing.
+    `gap` is that from the faces to the box of the interior pores, `spacing` the one that the sampler was asked for, or
+    of the pores thrown before, both cell sizes; `alike` says whether all have one number of pores and one spacing.
     """
 
     def __init__(self, pores: PoreSet, palette: Palette, gap: float, spacing: float | None) -> None:

@@ -189,37 +189,31 @@ class LayerWriter(Stage):
             if number in shown:
                 overview.append(image)
 
-        def sheets() -> Iterator[U64]:
+        def flipped(bits: bool) -> Iterator[Any]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
-                    # row 0 of a layer that is written is the side of largest y
+                    # row 0 of a layer that is written is the side of largest y; the stack may reuse its slab
                     rows = layer[::-1].copy()
-                    if number in shown or (observer is not None and number in seen):
-                        show(number, image_of(rows, stack))
+                    if not bits or number in seen:
+                        show(number, image_of(rows, stack) if bits else rows)
                     yield rows
                 context.progress(min(start + len(slab), nz), nz, "layers")
 
-        def images() -> Iterator[U8]:
-            for start, slab in slabs:
-                for number, layer in enumerate(slab, start):
-                    image = layer[::-1].copy()  # the stack may reuse its slab
-                    show(number, image)
-                    yield image
-                context.progress(min(start + len(slab), nz), nz, "layers")
-
-        seen = set() if observer is None else getattr(observer, "wanted", range(nz))
+        seen = shown.union(() if observer is None else getattr(observer, "wanted", range(nz)))
         encoded: Iterator[bytes]
         source: Slabs | DividedLayers
         if divides(context, stack, self):
             assert isinstance(stack, SampledSlices)
-            source = DividedLayers(context, stack, self, shown.union(seen), show)
+            source = DividedLayers(context, stack, self, seen, show)
             encoded = iter(source)
         elif isinstance(stack, SampledSlices) and not stack.gray:
             source = slabs = stack.bit_slabs(threads)
-            encoded = ordered_map(lambda rows: encoded_bits(self, rows, stack), sheets(), threads, ahead=4 * threads)
+            encoded = ordered_map(
+                lambda rows: encoded_bits(self, rows, stack), flipped(True), threads, ahead=4 * threads
+            )
         else:
             source = slabs = stack.slabs(threads)
-            encoded = ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads)
+            encoded = ordered_map(lambda image: self.encode(image, stack), flipped(False), threads, ahead=4 * threads)
         layers = EncodedLayers(encoded, source, observer)
         target = context.output(self.path)
         self.store(target, stack, layers)

@@ -36,21 +36,11 @@ on it)."""
 
 
 class Lattice(NamedTuple):
-    """The cells a tiler has to fill.
+    """The cells a tiler has to fill."""
 
-    Attributes
-    ----------
-    mask : (nx, ny, nz) bool
-        Which cells are needed.
-    edge : float or None
-        Cell edge, mm.
-    origin : tuple of 3 floats
-        World position of the low corner of cell (0, 0, 0), mm.
-    """
-
-    mask: Bools
-    edge: float | None
-    origin: tuple[float, float, float]
+    mask: Bools  # (nx, ny, nz), which cells are needed
+    edge: float | None  # of a cell, mm
+    origin: tuple[float, float, float]  # world position of the low corner of cell (0, 0, 0), mm
 
 
 def lattice_for(

@@ -40,11 +40,10 @@ def view_of(what: Artifact, *, samples: int = SAMPLES, threads: int = 1) -> byte
 
 def mesh_view(
     vertices: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], *, title: str, unit: str,
-    most: int = TRIANGLES,
 ) -> bytes:  # fmt: skip
     """The view file of a mesh, vertices (n, 3) and at least one of faces (m, 3).
 
-    `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of more than `most`
+    `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of over `TRIANGLES`
     triangles, vertices in small cubes are merged, and triangles that vanish are left out.
     """
     from sppm_pipeline.services.mesh.measures import balanced_edges
@@ -53,7 +52,7 @@ def mesh_view(
     points, triangles = np.asarray(vertices, float)[used], corners.reshape(-1, 3)
     # 16 bits along the longest edge resolve more than a screen does
     low, size = points.min(0), np.ptp(points, axis=0)
-    kept, shown = clustered(points, triangles, most)
+    kept, shown = clustered(points, triangles, TRIANGLES)
     longest = float(size.max()) or 1.0
     steps = np.rint((kept - low) / longest * STEPS).astype(np.uint16)
     head = {

@@ -31,27 +31,14 @@ iteration on the first of them costs about an eighth of one on the finest grid."
 
 
 class Homogenized(NamedTuple):
-    """Effective stiffness and how it was computed.
+    """Effective stiffness and how it was computed."""
 
-    Attributes
-    ----------
-    stiffness : (6, 6) float64
-        Voigt order xx, yy, zz, yz, xz, xy, engineering shear strains; the unit of Young's modulus.
-    solved : tuple of 6 Solved
-        Iterations, residual and error of each load case.
-    precision : str
-        Precision of the final solution: double, if single precision was not enough.
-    expansion : (6,) float64 or None
-        Strain of a free cell per kelvin, engineering shear; NaN for strains without a load path. None if no expansion
-        was given.
-    fields : tuple of 6 (displacements, step), or empty
-        Periodic displacements (3 nz ny nx,) int16 of each load case in steps of a float, if they were requested.
-    """
-
-    stiffness: F64
-    solved: tuple[Solved, ...]
-    precision: str
+    stiffness: F64  # (6, 6), Voigt order xx, yy, zz, yz, xz, xy, engineering shear; the unit of Young's modulus
+    solved: tuple[Solved, ...]  # of each load case
+    precision: str  # of the final solution: double, if single precision was not enough
+    # (6,), strain of a free cell per kelvin, engineering shear; NaN for strains without a load path
     expansion: F64 | None = None
+    # periodic displacements (3 nz ny nx,) of each load case in steps of a float, if they were requested
     fields: tuple[tuple[I16, float], ...] = ()
 
 
@@ -100,24 +87,12 @@ def stiffness(
 
 
 class ElasticBody(NamedTuple):
-    """Periodic cell in the form that is solved; the arrays of Lamé constants may be freed.
+    """Periodic cell in the form that is solved; the arrays of Lamé constants may be freed."""
 
-    Attributes
-    ----------
-    finest : ElasticLevel, or None
-        Its grid, Lamé constants divided by `scale`; None if all of it is void.
-    mean : (6, 6) float64
-        Mean stiffness of the voxels, divided by `scale`.
-    scale : float
-        The largest shear modulus, so that numbers are near 1 in any unit.
-    dtype : dtype
-        Precision of the vectors.
-    """
-
-    finest: ElasticLevel | None
-    mean: F64
-    scale: float
-    dtype: np.dtype[Any]
+    finest: ElasticLevel | None  # its grid, Lamé constants divided by `scale`; None if all of it is void
+    mean: F64  # (6, 6), mean stiffness of the voxels, divided by `scale`
+    scale: float  # the largest shear modulus, so that numbers are near 1 in any unit
+    dtype: np.dtype[Any]  # of the vectors
 
     @classmethod
     def of(
