@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 COLORS = {"displacement": (60, 110, 190), "force": (200, 50, 40), "pressure": (230, 140, 30)}
 """Of what is held, pulled and pressed."""
 
-CAMERA = Camera(azimuth=-55.0, elevation=25.0)
+MEANINGS = {"displacement": "held blue", "force": "pulled red", "pressure": "pressed orange"}
+
+CAMERA, OPPOSITE = Camera(azimuth=-55.0, elevation=25.0), Camera(azimuth=125.0, elevation=-25.0)
 
 
 def surface_of(body: VoxelBody) -> tuple[I64, I32, I64]:
@@ -80,17 +82,22 @@ def _blocks(values: NDArray[Any], block: int) -> F32:
 
 
 def conditions_picture(body: VoxelBody, cases: list[tuple[str, Applied]], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The part once for each case: blue where it is held, red where it is pulled, orange where it is pressed."""
+    """Each case from two opposite sides: blue where the part is held, red where pulled, orange where pressed."""
     nodes, triangles, _ = surface_of(body)
     points, every = body.points(nodes), exposed_faces(body).keys
-    pictures = []
-    for _, one in cases:
+    pictures, labels = list[NDArray[np.uint8]](), list[str]()
+    for name, one in cases:
         colors = np.tile(np.array(BONE, np.uint8), (len(triangles) // 2, 1))
         for condition, faces in one.regions:
             colors[np.isin(every, faces.keys)] = COLORS[condition.kind]
         both = np.concatenate([colors, colors])
-        pictures.append(render_mesh(points, triangles, camera=CAMERA, size=size, face_colors=both, smooth=False))
-    return np.asarray(contact_sheet(pictures, [name for name, _ in cases], columns=min(3, len(pictures))))
+        pictures += [
+            render_mesh(points, triangles, camera=camera, size=size, face_colors=both, smooth=False)
+            for camera in (CAMERA, OPPOSITE)
+        ]
+        meanings = dict.fromkeys(MEANINGS[condition.kind] for condition, _ in one.regions)
+        labels += [f"{name}: {', '.join(meanings)}", "the same from behind and below"]
+    return np.asarray(contact_sheet(pictures, labels, columns=2))
 
 
 def deformed_picture(result: PartResult, case: int, size: tuple[int, int]) -> NDArray[np.uint8]:
