@@ -27,15 +27,17 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Print the designs, and write what is asked for."""
-    from sppm_pipeline.features.design.atlas import PROPERTIES, searched
+    from sppm_pipeline.features.design.atlas import LENGTH_POWERS, PROPERTIES, searched
 
     found, all_ = searched(args.query, cell=args.cell, count=args.count, minimize=args.minimize, maximize=args.maximize)
+    length = "mm" if args.cell else "cell"
+    units = {0: "", 1: length, 2: f"{length}^2", -1: f"1/{length}"}
     for number, one in enumerate(found, 1):
         parameters = ", ".join(f"{name} {value:g}" for name, value in one.parameters.items())
         print(f"{number}. {one.family}: {parameters}, {one.total} pores a cell")
         for name in PROPERTIES:
             low, value, high = one.values[name]
-            print(f"   {name:15} {value:10.4g}   {low:.4g} - {high:.4g}")
+            print(f"   {name:15} {value:10.4g}   {low:.4g} - {high:.4g} {units[LENGTH_POWERS[name]]}".rstrip())
     print(f"{len(all_['porosity'])} candidates meet the conditions; 90 % of cells lie in the bands")
     if args.output is not None:
         _write(args.output, args.query, found, all_)

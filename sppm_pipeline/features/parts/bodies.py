@@ -265,7 +265,7 @@ def held_solid(body: VoxelBody, case: LoadCase, fixed: Bools, *, drop: bool) -> 
     words = [word for word, row in zip(MOTIONS, free, strict=True) if np.linalg.norm(row) > 0.7]
     raise DesignError(
         f"case {case.name!r}: nothing keeps the part from this: {', '.join(words) or 'a motion of its own'}"
-        + (f" (axes through {', '.join(f'{v:.3g}' for v in middle)} mm)" if len(nodes) and len(words) else "")
+        + (f" (axes through {', '.join(f'{round(v, 6):.3g}' for v in middle)} mm)" if len(nodes) and len(words) else "")
         + (f"; the part is in {count} pieces" if count > 1 else ""),
         hint="hold more of it by `fix`, or by `symmetry`",
     )
