@@ -280,7 +280,10 @@ class Atlas:
         points = self.arrays[f"{family}.points"]
         rows = zip(self.arrays[f"{family}.weights"], self.arrays[f"{family}.settings"], strict=True)
         fits = [Surrogate(w, s[:3], *map(float, s[3:])) for w, s in rows]
-        return predicted(fits, points, at), np.array([one.band for one in fits])
+        logs = predicted(fits, points, at)
+        ratio = PROPERTIES.index("E_ratio")
+        logs[:, ratio] = np.maximum(logs[:, ratio], 0)  # the largest is at least the smallest
+        return logs, np.array([one.band for one in fits])
 
     def band(self, family: str, values: Mapping[str, float]) -> tuple[F64, F64]:
         """Ends of the bands of all properties of a design, (p,), lengths in cell sizes of a cell of 40 pores."""
@@ -419,7 +422,11 @@ def searched(
     for k in chosen:
         family, point, total, bands = rows[k]
         values = {
-            name: (float(table[k, p] / bands[p]), float(table[k, p]), float(table[k, p] * bands[p]))
+            name: (
+                max(float(table[k, p] / bands[p]), name == "E_ratio"),
+                float(table[k, p]),
+                float(table[k, p] * bands[p]),
+            )
             for p, name in enumerate(PROPERTIES)
         }
         parameters = {

@@ -144,3 +144,8 @@ def test_the_verb_prints_designs_and_writes_configurations_that_check(tmp_path, 
 def test_the_front_of_candidates_is_met_by_no_other():
     found, all_ = searched("porosity = 0.7", cell=None, count=3, maximize="E_relative")
     assert found[0].values["E_relative"][1] == pytest.approx(all_["E_relative"].max())
+
+
+def test_the_largest_modulus_is_at_least_the_smallest():
+    for one in sppm.find("E_relative > 0.02", cell="4 mm", count=20, minimize="E_ratio"):
+        assert 1 <= one.values["E_ratio"][0] <= one.values["E_ratio"][1]
