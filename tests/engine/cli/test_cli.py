@@ -29,7 +29,7 @@ from sppm_pipeline.errors import (
 )
 from sppm_pipeline.stage import Stage
 
-SYNTHETIC = str(Path(sppm_pipeline.__file__).parent / "testing" / "synthetic.py")
+SYNTHETIC = str(Path(__file__).parents[2] / "synthetic.py")
 
 DESIGN = """sppm: 1
 name: demo
