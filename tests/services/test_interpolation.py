@@ -6,21 +6,22 @@ import pytest
 from sppm_pipeline.services.interpolation import BLOCK, TAPS, band_of, interpolate_layers, stretch, taps_at
 
 
-def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=False, cut=9):
+def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=False):
     """The function sampled at 0, 1, 2, ... in `coarse` (nz, ny, nx), at fine positions along each axis."""
     taps = [taps_at(np.asarray(places, float)) for places in (x, y, z)]
     window = [slice(int(t.first[0]), int(t.first[-1]) + TAPS) for t in taps]
     planes = np.ascontiguousarray(coarse[:, window[1], window[0]])
     band = band_of(taps[0])
     wide = np.zeros((*planes.shape[:2], len(band.first) * BLOCK), np.float32)
-    stretch(planes, band, range(planes.shape[1]), wide)
+    for plane, stretched in zip(planes, wide, strict=True):
+        stretch(plane, band, np.tile(np.array([0, len(band.first)], np.int32), (len(plane), 1)), stretched)
     ny, nx = len(y), len(x)
     spans = np.tile(np.array([0, nx], np.int32), (len(z), ny, 1)) if spans is None else np.tile(spans, (len(z), 1, 1))
     out = np.zeros((len(z), ny, nx), np.uint8 if solid else np.float32)
     for row in range(0, ny, bands):
         rows = range(row, min(row + bands, ny))
         places = {"solid": out, "field": None} if solid else {"field": out, "solid": None}
-        interpolate_layers(wide[:cut], wide[cut:], *taps[2], taps[1], level, rows, spans, **places)
+        interpolate_layers(wide, *taps[2], taps[1], level, rows, spans, **places)
     return out
 
 
@@ -76,17 +77,17 @@ def test_the_error_falls_with_the_sixth_power_of_the_spacing():
 def test_rows_are_stretched_at_any_pitch(pitch, count):
     taps = taps_at(3.3 + pitch * np.arange(count))
     band, first = band_of(taps), taps.first - taps.first[0]
-    coarse = np.random.default_rng(2).random((2, 3, first[-1] + TAPS), dtype=np.float32)
-    out = np.full((2, 3, len(band.first) * BLOCK), np.nan, np.float32)
-    stretch(coarse, band, range(1, 3), out)
+    coarse = np.random.default_rng(2).random((3, first[-1] + TAPS), dtype=np.float32)
+    out = np.full((3, len(band.first) * BLOCK), np.nan, np.float32)
+    stretch(coarse, band, np.array([[0, 0], [0, len(band.first)], [0, len(band.first)]], np.int32), out)
     expected = (coarse[..., first[:, None] + np.arange(TAPS)].astype(float) * taps.weights).sum(-1)
-    assert np.abs(out[:, 1:, :count] - expected[:, 1:]).max() < 1e-6
-    assert np.isnan(out[:, 0]).all()
+    assert np.abs(out[1:, :count] - expected[1:]).max() < 1e-6
+    assert np.isnan(out[0]).all()
     some, at = np.full_like(out, np.nan), (len(band.first) - 1) // 2
     block = slice(at * BLOCK, at * BLOCK + BLOCK)
-    stretch(coarse, band, range(1, 3), some, np.array([[0, 9], [at, at + 1], [1, 0]], np.int32))
-    assert some[:, 1, block].tobytes() == out[:, 1, block].tobytes()
-    some[:, 1, block] = np.nan
+    stretch(coarse, band, np.array([[0, 0], [at, at + 1], [1, 0]], np.int32), some)
+    assert some[1, block].tobytes() == out[1, block].tobytes()
+    some[1, block] = np.nan
     assert np.isnan(some).all()
 
 

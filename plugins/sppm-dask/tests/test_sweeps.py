@@ -23,6 +23,7 @@ from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.process import containment
 from sppm_pipeline.engine.run.crew import WorkerPool
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.executors import WorkerOptions
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError
@@ -132,11 +133,8 @@ def swept(file: Path, to: str, executor: str, *, cache: Path | None = None, moni
         session,
         session.plan(),
         folder,
-        workers=2,
-        executor=executor,
-        threads=2,
+        WorkerOptions(workers=2, executor=executor, threads=2, cache=cache),
         monitor=monitor,
-        cache=cache,
     )
     return record, folder
 
@@ -305,7 +303,7 @@ def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(cluster, tmp_
     for to, executor in (("serial", None), ("cluster", f"dask:{cluster.scheduler_address}")):
         path, crew = tmp_path / to, None
         if executor is not None:
-            crew = WorkerPool(session.plugins, path, executor=executor, workers=2, threads=2)
+            crew = WorkerPool(session.plugins, path, WorkerOptions(workers=2, executor=executor, threads=2))
         record = run_plan(session.plan(), path, threads=2, crew=crew)
         found.append((outputs(path), record["stages"][-1]["summary"]))
         (tmp_path / "once").unlink()  # of the worker that has died

@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 import sppm_pipeline
 from sppm_pipeline.engine.config.document import plain, read_yaml
-from sppm_pipeline.engine.files import DISK, file_digest, files_in
+from sppm_pipeline.engine.files import DISK, file_digest, files_in, put_into_place
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.strict_json import json_text
@@ -63,7 +63,7 @@ def write_crate(target: Path, plan: Plan, folder: Path, record: Mapping[str, Any
                     io.BytesIO(content) if isinstance(content, bytes) else content.open("rb") as file,
                 ):
                     shutil.copyfileobj(file, inside)
-        os.replace(half, target)
+        put_into_place(half, target, lambda: target)
     except OSError as error:
         half.unlink(missing_ok=True)
         raise ResourceError(f"can't write {str(target)!r}: {error.strerror}", hint=DISK) from error

@@ -302,7 +302,7 @@ HOW
 def work():
     time.sleep(8)
     return 0
-os._exit(supervision.supervised(work, print, "interrupted", lambda *words: None))
+os._exit(supervision.supervised(work, lambda words: print(words, flush=True), "interrupted", lambda *words: None))
 """
 AT_THE_FORK = """
 fork = os.fork

@@ -63,7 +63,7 @@ def test_a_slider_gives_a_cell_and_its_text(page):
 
 def test_radii_are_shown_before_the_engine_answers(page):
     held = []
-    page.route("**/cell?*", held.append)  # no answer
+    page.route("**/cell?*", lambda route: held.append(route))  # no answer
     before = float(page.evaluate("document.getElementById('live-readout').dataset.porosity"))
     slider = page.locator("[data-instant=pore_radius] [type=range]")
     with page.expect_request("**/cell?*"):  # or it would be asked, and answered, after the route has gone
