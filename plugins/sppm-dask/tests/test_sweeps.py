@@ -169,7 +169,7 @@ def test_two_hundred_rows_have_the_bytes_of_a_serial_sweep_though_a_worker_is_ki
     assert not (tmp_path / "once-101").exists()  # the worker has died
     assert statuses(serial) == statuses(record) == ["done"] * 200
     assert outputs(alone) == outputs(folder)
-    assert len(outputs(alone)) == 200 + 2
+    assert len(outputs(alone)) == 200 + 3
 
 
 def test_a_deadly_row_fails_alone(cluster, tmp_path):
