@@ -45,7 +45,12 @@ def moved(page, key, value):
     before = page.evaluate("document.getElementById('status').dataset.drawn")
     slider = page.locator(f"[data-key='{key}'] [type=range]").first
     slider.evaluate("(s, v) => { s.value = v; s.dispatchEvent(new Event('input')); }", str(value))
-    drawn = f"(d => d !== '{before}' && d)(document.getElementById('status').dataset.drawn)"
+    # the text must be that of the cell: an earlier request may be answered meanwhile
+    drawn = (
+        f"(d => d !== '{before}' && document.getElementById('yaml').dataset.digest === d && "
+        f"document.getElementById('yaml').textContent.includes('{value}') && d)"
+        "(document.getElementById('status').dataset.drawn)"
+    )
     return until(page, drawn, "no new cell")
 
 
@@ -69,8 +74,10 @@ def test_radii_are_shown_before_the_engine_answers(page):
     with page.expect_request("**/cell?*"):  # or it would be asked, and answered, after the route has gone
         slider.evaluate("s => { s.value = '0.14'; s.dispatchEvent(new Event('input')); }")
         shown = float(page.evaluate("document.getElementById('live-readout').dataset.porosity"))
+    while not held:  # the request has been seen, but may not have reached the route
+        page.wait_for_timeout(10)
     for route in held:  # Chromium lets them pass when the route goes, and 0.14 would be drawn before 0.141
-        route.abort()
+        route.fulfill(status=200, body="")
     page.unroute("**/cell?*")
     digest = moved(page, "pipeline.3.pore_radius", 0.141)
     made = Pipeline.from_yaml(page.inner_text("#yaml") + "\n").run(until="field.gaussian", cache=False)[
