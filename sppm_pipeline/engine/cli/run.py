@@ -144,10 +144,10 @@ def _execute(args: Namespace) -> int:
         retries=args.retries,
         same_processor=args.same_processor,
     )
-    fewest = 0.0
+    minimum = 0.0
     if args.jobs > 1 and not rows:
-        fewest = min_samples(args.executor, estimates[0])
-        if fewest < math.inf and options.name == "processes":
+        minimum = min_samples(args.executor, estimates[0])
+        if minimum < math.inf and options.name == "processes":
             raise_problems(unfit_problems(estimates, path, crew=args.jobs))
     stack = contextlib.ExitStack()
     monitor = _monitor(args, stack)
@@ -162,7 +162,7 @@ def _execute(args: Namespace) -> int:
                 monitor=monitor,
                 store=open_store(cache) if cache is not None else None,
                 about=str(session.configuration.file.absolute()),
-                crew=_crew(session, path, options, monitor, fewest),
+                crew=_crew(session, path, options, monitor, minimum),
             )
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
@@ -227,7 +227,7 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     return monitor
 
 
-def _crew(session: Session, path: Path, options: WorkerOptions, monitor: Waiting, fewest: float) -> WorkerPool | None:
+def _crew(session: Session, path: Path, options: WorkerOptions, monitor: Waiting, minimum: float) -> WorkerPool | None:
     """The workers of a single run, if it is to have any; started when a stage asks for them."""
     if options.executor is None and options.workers == 1:
         return None
@@ -235,7 +235,7 @@ def _crew(session: Session, path: Path, options: WorkerOptions, monitor: Waiting
     from sppm_pipeline.engine.run.executors import require_executor
 
     require_executor(options.executor, options.workers, session.plugins)
-    return WorkerPool(session.plugins, path, options, monitor=monitor, fewest=fewest) if options.apart else None
+    return WorkerPool(session.plugins, path, options, monitor=monitor, minimum=minimum) if options.apart else None
 
 
 def _write_report(args: Namespace, path: Path) -> None:

@@ -44,7 +44,7 @@ class _Job:
 class WorkerPool:
     """The workers of one run, started when a stage first asks for them.
 
-    `path` is the run directory, which they share; `threads` are those of each; stages below `fewest` samples get no
+    `path` is the run directory, which they share; `threads` are those of each; stages below `minimum` samples get no
     workers (`min_samples`). `warn` is called once with each warning of a worker.
     """
 
@@ -55,7 +55,7 @@ class WorkerPool:
         options: WorkerOptions,
         *,
         monitor: Monitor | None = None,
-        fewest: float = 0.0,
+        minimum: float = 0.0,
     ) -> None:
         self.workers, self.threads = options.workers, options.threads_each
         self.warn: Callable[[str], None] = lambda message: None
@@ -63,7 +63,7 @@ class WorkerPool:
         self._path = path.resolve()
         self._options = options
         self._monitor = monitor or Monitor()
-        self._fewest = fewest
+        self._minimum = minimum
         self._ending = contextlib.ExitStack()
         self._driver: Driver | None = None
         self._pool: Executor | None = None
@@ -76,7 +76,7 @@ class WorkerPool:
 
     def takes(self, samples: float) -> bool:
         """True if workers are given work of so many samples; if not, the monitor reports it, once."""
-        if samples >= self._fewest:
+        if samples >= self._minimum:
             return True
         if not self._declined:
             self._declined = True

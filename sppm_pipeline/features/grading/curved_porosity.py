@@ -11,7 +11,7 @@ import numpy as np
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.laid_graph import WarpedTiling
-from sppm_pipeline.features.grading.local_porosity import LEAST_SHARE
+from sppm_pipeline.features.grading.local_porosity import MIN_SHARE
 from sppm_pipeline.features.grading.numerics.cell_level import (
     CellSamples,
     ControlLattice,
@@ -229,7 +229,7 @@ def fit_curved_level(
     blend = blending(lattice, curved.centers, curved.frames)
     means = means_over_cells(lattice, blend, lambda first, stop: curved.inner(POINTS, np.arange(first, stop)))
     found, share = samples.for_level(lattice)
-    known = share >= LEAST_SHARE
+    known = share >= MIN_SHARE
     if not known.any():
         raise DesignError("no cell lies in the part", hint="give smaller cells")
     done = 0

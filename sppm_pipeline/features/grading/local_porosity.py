@@ -28,7 +28,7 @@ WEIGHTS = np.array([_WEIGHTS[1], _WEIGHTS[0], _WEIGHTS[0], _WEIGHTS[1]]) / 2
 """Points along a cell edge and their weights for the mean of a map over a cell: those of Gauss, by
 which means of smooth maps are right to 1 in 100 000, and those of steps between cells exactly."""
 
-LEAST_SHARE = 0.25
+MIN_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
 
 BLOCKS = 8
@@ -110,8 +110,8 @@ class LatticeCells:
         share = filled.astype(np.float64)
         if isinstance(field, Part):
             self._see(field, share, inside, all_layers=only is None)
-        cells = [(int(i), int(j), int(k)) for i, j, k in np.argwhere(share >= LEAST_SHARE)]
-        return Places(cells, share[share >= LEAST_SHARE], {cell: inside[cell] for cell in cells if cell in inside})
+        cells = [(int(i), int(j), int(k)) for i, j, k in np.argwhere(share >= MIN_SHARE)]
+        return Places(cells, share[share >= MIN_SHARE], {cell: inside[cell] for cell in cells if cell in inside})
 
     def _see(self, part: Part, share: F64, inside: dict[tuple[int, int, int], U8], *, all_layers: bool) -> None:
         """Set the share of each cell, where it is not 0, to that in the part; keep bits of cells that are not whole."""

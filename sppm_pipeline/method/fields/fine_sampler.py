@@ -28,10 +28,10 @@ from sppm_pipeline.services.threads import share_out
 if TYPE_CHECKING:
     from sppm_pipeline.method.fields.kernel_sum import KernelSum
 
-MOST_SAMPLES = 2**22
-"""Samples of coarse planes, stretched along x, that are kept at a time: 16 MB, unless `LEAST_PLANES` are more."""
+MAX_SAMPLES = 2**22
+"""Samples of coarse planes, stretched along x, that are kept at a time: 16 MB, unless `MIN_PLANES` are more."""
 
-LEAST_PLANES = 8
+MIN_PLANES = 8
 """Coarse planes that are summed together at the least, so that kernels are not listed again for each plane."""
 
 BAND_SAMPLES = 2**15
@@ -82,7 +82,7 @@ class FineSampler:
             for window, cells, along in zip(self._window[:2], field.cells[:2], (CELLS_ALONG, CELLS_ACROSS), strict=True)
         ]
         plane = grid.shape[0] * len(self._window[1])
-        self._height = TAPS - 1 + max(LEAST_PLANES, min(per_cell, MOST_SAMPLES // plane))
+        self._height = TAPS - 1 + max(MIN_PLANES, min(per_cell, MAX_SAMPLES // plane))
         rows = max(TAPS, BAND_SAMPLES // grid.shape[0])
         self._band_rows = max(1, rows * grid.shape[1] // len(self._window[1]))
         self._forget()
@@ -151,7 +151,7 @@ class FineSampler:
         if len(new):  # the next layers want about the same of the last planes
             last_planes = self._widened(spans_in_any(needed[1 - TAPS :]))
             needed[max(len(old), len(needed) + 1 - TAPS) :] = last_planes
-            stop = max(stop, min(old.stop + LEAST_PLANES, start + self._height, self._window[2].stop))
+            stop = max(stop, min(old.stop + MIN_PLANES, start + self._height, self._window[2].stop))
             new = range(old.stop, stop)
             needed = np.concatenate([needed, np.tile(last_planes, (stop - start - len(needed), 1, 1))])
         else:

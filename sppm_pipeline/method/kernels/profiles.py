@@ -132,12 +132,12 @@ def _positive(value: float, name: str, unit: str) -> float:
     return float(value)
 
 
-LEAST_SUM = 1e-5
+MIN_SUM = 1e-5
 """Sums below this are the cut-off of the kernels, not data."""
 
 
 def log_of_sums(values: F32, level: float) -> F32:
     """``ln(G / C)`` of samples of ``G - C``, with the same signs; in place."""
     values *= np.float32(1 / level)
-    np.maximum(values, np.float32(LEAST_SUM / level - 1), out=values)
+    np.maximum(values, np.float32(MIN_SUM / level - 1), out=values)
     return np.log1p(values, out=values)

@@ -66,7 +66,7 @@ def test_slabs_threads_and_windows_change_no_bit(fields, name, monkeypatch):
     (x, y, z), (hx, hy, hz), _ = FINE
     window = Grid((x + 17 * hx, y + 11 * hy, z + 9 * hz), FINE.spacing, (40, 33, 20))
     assert field.sample(window).tobytes() == values[17:57, 11:44, 9:29].tobytes()
-    monkeypatch.setattr(fine_sampler, "MOST_SAMPLES", 1)
+    monkeypatch.setattr(fine_sampler, "MAX_SAMPLES", 1)
     monkeypatch.setattr(fine_sampler, "BAND_SAMPLES", 1000)
     other = Grid(FINE.origin, FINE.spacing, (*FINE.shape[:2], 60))  # another grid, or what is kept would serve it
     assert field.sample(other).tobytes() == values[:, :, :60].tobytes()

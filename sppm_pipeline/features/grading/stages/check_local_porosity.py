@@ -28,7 +28,7 @@ from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved
 from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.local_porosity import (
     BLOCKS,
-    LEAST_SHARE,
+    MIN_SHARE,
     block_counts,
     error_summary,
     filled_cells,
@@ -200,7 +200,7 @@ class CheckLocalPorosity(Stage):
         samples = CurvedSamples(field, curved, self.resolution + 1, context.threads)
         counts = samples.shares(lambda done, of: context.progress(done, of, "layers"))
         wanted = curved_targets(grading, "porosity", curved)
-        enough = counts.share >= LEAST_SHARE
+        enough = counts.share >= MIN_SHARE
         values = CellValues(
             curved.columns, curved.names[enough], curved.centers[enough], counts.share[enough], wanted[enough],
             counts.porosity[enough],
@@ -318,7 +318,7 @@ def _of_cells(blocks: BlockMap, field: ScalarField) -> CellValues:
         return np.asarray(values.reshape(nx, BLOCKS, ny, BLOCKS, nz, BLOCKS).sum((1, 3, 5)))
 
     inside = summed(blocks.inside)
-    enough = inside >= LEAST_SHARE * BLOCKS**3
+    enough = inside >= MIN_SHARE * BLOCKS**3
     wanted, found = (summed(values * blocks.inside)[enough] / inside[enough] for values in (blocks.target, blocks.void))
     cells = np.argwhere(enough)
     middles = (cells + 0.5) * field.physical_edge() + np.array(field.origin_mm)

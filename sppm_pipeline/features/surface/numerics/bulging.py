@@ -45,7 +45,7 @@ MAX_MOVE = 0.3
 """Vertices are moved by at most this fraction of their shortest edge, so that triangles cannot fold (from one half on).
 At half of it more volume has to be passed on to neighbors."""
 
-LEAST_SLOPE = 0.3
+MIN_SLOPE = 0.3
 """Least cosine between normal and grid edge with which the way along the edge is computed: it grows as the inverse, and
 is capped at about three times the rise."""
 
@@ -113,7 +113,7 @@ def move(
             place = (at[i] - lows[i]) / step
             # rise over slope, with the slope bounded from below: along an edge nearly in the surface the way
             # would be endless
-            way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
+            way = wanted * slope / max(slope * slope, MIN_SLOPE**2)
             way = min(max(way, -most), most) / step
             start = place - np.floor(place)
             # the vertex stays within its edge: the topology of marching cubes holds
