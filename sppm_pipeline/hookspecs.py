@@ -65,14 +65,17 @@ class Command:
         Adds the verb's arguments.
     execute : function of `argparse.Namespace` that returns the exit code, or "module:function"
         Does the work; prints results on stdout, and raises `SppmError` for errors that the user can fix.
-    after_run : function of the run directory and the `argparse.Namespace` of ``sppm run``, or "module:function"
+    before_run : function of a plan that returns ids of its stages, or "module:function"
+        What ``sppm run --report`` calls of the verb `report` before a run; the results of these stages are kept.
+    after_run : function of the run directory, the `argparse.Namespace` and the results, or "module:function"
         What ``sppm run --report`` calls of the verb `report` once the run has ended; prints nothing.
     """
 
     help: str
     configure: Callable[[ArgumentParser], None] | str
     execute: Callable[[Namespace], int] | str
-    after_run: Callable[[Path, Namespace], None] | str = ""
+    before_run: Callable[[Any], Sequence[str]] | str = ""
+    after_run: Callable[[Path, Namespace, Mapping[str, Any]], None] | str = ""
 
 
 @hookspec
@@ -217,9 +220,10 @@ def sppm_report_sections(record: Mapping[str, Any]) -> Sequence[ReportSection]: 
     """Supply sections of the report of a run.
 
     Called by ``sppm report``, ``sppm view`` and ``sppm run --report`` with the record of the run, as ``run.json`` holds
-    it, whether the run ended well or not. Returns the sections, which stand behind charts and pictures. An empty
-    sequence means: nothing to add. What a plugin raises is shown in the place of its sections. A box at the top, and
-    charts of one result, need no hook; see `Artifact.report_boxes` and `Artifact.report_charts`. Example::
+    it, whether the run ended well or not. Returns the sections, which stand behind charts and pictures; those with
+    boxes stand before the structure, and the boxes at the top. An empty sequence means: nothing to add. What a plugin
+    raises is shown in the place of its sections. A box at the top, and charts of one result, need no hook; see
+    `Artifact.report_boxes` and `Artifact.report_charts`. Example::
 
         @hookimpl
         def sppm_report_sections(record):

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from sppm_pipeline.hookspecs import Comparison, Preset, hookimpl
-from sppm_pipeline.nouns.report import ReportSection
 
 STAGES = {
     "read.primitive": "ReadPrimitive",
@@ -65,14 +64,3 @@ def sppm_audit(record: Mapping[str, Any]) -> list[Comparison]:
     from sppm_pipeline.method.audit import comparisons
 
     return list(comparisons(record))
-
-
-@hookimpl
-def sppm_report_sections(record: Mapping[str, Any]) -> list[ReportSection]:
-    """The verdict of the audit."""
-    from sppm_pipeline.method.audit import rows
-
-    audit = record.get("audit")
-    if not audit or not audit["comparisons"]:
-        return []
-    return [ReportSection("Audit", f"verdict: {audit['verdict']}", rows=rows(audit))]

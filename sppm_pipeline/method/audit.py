@@ -5,7 +5,7 @@ Every number is one that stages report anyway, so an audit costs no evaluation o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sppm_pipeline.hookspecs import Comparison
@@ -186,10 +186,3 @@ def _input(stage: Stage, port: str) -> str:
 def _number(summary: Mapping[str, Any], name: str) -> float | None:
     value = summary.get(name)
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-
-def rows(audit: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
-    """The comparisons of a recorded audit for a report."""
-    return [
-        (one["quantity"], ("agrees: " if one["holds"] else "BREACH: ") + one["text"]) for one in audit["comparisons"]
-    ]

@@ -94,12 +94,31 @@ class ReportSection(NamedTuple):
     rows : sequence of (str, value)
         Numbers and their names.
     charts : sequence of Chart
+    pictures : sequence of str
+        PNG or SVG files in the run directory.
+    boxes : sequence of Box
+        Numbers for the top of the report. A section that has some stands before the structure.
     """
 
     title: str
     text: str = ""
     rows: Sequence[tuple[str, Any]] = ()
     charts: Sequence[Chart] = ()
+    pictures: Sequence[str] = ()
+    boxes: Sequence[Box] = ()
+
+
+_UNITS = {
+    "mm": "mm", "um": "um", "mm2": "mm²", "mm3": "mm³", "ml": "ml", "g": "g", "s": "s", "n": "N", "mpa": "MPa",
+    "mb": "MB", "deg": "°", "nmm": "N mm",
+}  # fmt: skip
+
+
+def readable(name: str) -> tuple[str, str]:
+    """Words and unit of the name of a number: ``largest_cup_mm2`` is largest cup, mm²; the unit may be empty."""
+    words, _, last = name.rpartition("_")
+    unit = _UNITS.get(last.lower(), "") if words else ""
+    return (words if unit else name).replace("_", " "), unit
 
 
 class Number(NamedTuple):

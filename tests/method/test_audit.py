@@ -6,7 +6,6 @@ import copy
 
 import pytest
 
-from sppm_pipeline.method import sppm_report_sections
 from sppm_pipeline.method.audit import comparisons
 
 
@@ -146,11 +145,3 @@ def test_layers_of_a_mesh_are_compared_with_it():
     ]
     (found,) = comparisons({"stages": stages})
     assert not found.holds
-
-
-def test_the_report_shows_the_verdict():
-    one = {"quantity": "volume", "text": "volume: 1, expected 2 +- 0.1", "holds": False}
-    (section,) = sppm_report_sections({"audit": {"verdict": "breach", "comparisons": [one]}})
-    assert section.text == "verdict: breach"
-    assert section.rows == [("volume", "BREACH: volume: 1, expected 2 +- 0.1")]
-    assert sppm_report_sections({}) == []

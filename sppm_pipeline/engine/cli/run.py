@@ -151,6 +151,7 @@ def _execute(args: Namespace) -> int:
             raise_problems(unfit_problems(estimates, path, crew=args.jobs))
     stack = contextlib.ExitStack()
     monitor = _monitor(args, stack)
+    kept = dict.fromkeys(_of_report("before_run")(plan)) if args.report and not rows else {}
     try:
         ahead = stack.enter_context(compiling_ahead(plan, monitor, threads))
         if session.configuration.sweep is None:
@@ -163,6 +164,7 @@ def _execute(args: Namespace) -> int:
                 store=open_store(cache) if cache is not None else None,
                 about=str(session.configuration.file.absolute()),
                 crew=_crew(session, path, options, monitor, minimum),
+                kept=kept,
             )
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
@@ -183,12 +185,12 @@ def _execute(args: Namespace) -> int:
             _print_json(error.record)
         if args.report and hasattr(error, "record"):
             with contextlib.suppress(SppmError):  # what stopped the run is what has to be said
-                _write_report(args, path)
+                _of_report("after_run")(path, args, kept)
         raise
     finally:
         stack.close()
     if args.report:
-        _write_report(args, path)
+        _of_report("after_run")(path, args, kept)
     if args.bundle:
         from sppm_pipeline.engine.run.crate import write_crate
 
@@ -238,13 +240,13 @@ def _crew(session: Session, path: Path, options: WorkerOptions, monitor: Waiting
     return WorkerPool(session.plugins, path, options, monitor=monitor, minimum=minimum) if options.apart else None
 
 
-def _write_report(args: Namespace, path: Path) -> None:
-    """The report of the run that has just ended, with the plugins and the cache that it had."""
+def _of_report(what: str) -> Any:
+    """A function that the verb `report` has for ``sppm run --report``."""
     from sppm_pipeline.engine.cli import commands
     from sppm_pipeline.engine.plan.plugins import Plugin, imported
 
-    after_run = commands.built_in_commands()["report"].after_run
-    imported(Plugin(commands.__name__, builtin=True), "the report", after_run)(path, args)
+    verb = commands.built_in_commands()["report"]
+    return imported(Plugin(commands.__name__, builtin=True), "the report", getattr(verb, what))
 
 
 def _print_json(record: Mapping[str, Any]) -> None:

@@ -59,6 +59,7 @@ def run_plan(
     key: str | None = None,
     earlier: StepRunner | None = None,
     crew: WorkerPool | None = None,
+    kept: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline up to the stage `until`, and write ``run.json`` into the run directory, also when a stage fails.
 
@@ -66,6 +67,7 @@ def run_plan(
     run for `sppm explain`. `key` is the digest of all that the run depends on: with a store, a finished run of the same
     key in `path` that is sound to the byte is taken as it is. `earlier` is of a run of the same plan in memory; its
     stages that write nothing are not run again. `crew`, to whom stages hand parts of their work, is ended with the run.
+    `kept` has ids of steps, whose results are put in their places, also of a run that fails, as far as it came.
 
     Returns the record. An `SppmError` says what stopped the run; its attribute ``record`` holds the record.
     """
@@ -80,7 +82,7 @@ def run_plan(
             crew.warn = recorder.warn
         # workers end before the record is sealed, as they write into the run directory
         with contextlib.nullcontext() if crew is None else contextlib.closing(crew):
-            StepRunner(
+            runner = StepRunner(
                 steps=steps,
                 recipes=plan.recipes,
                 seed=plan.seed,
@@ -93,7 +95,16 @@ def run_plan(
                 checkpoint=recorder.checkpoint,
                 earlier=earlier,
                 crew=crew,
-            ).run()
+                keep=kept or (),
+            )
+            try:
+                runner.run()
+                for id_ in kept or ():
+                    with contextlib.suppress(SppmError):  # the run has ended well without it
+                        runner.result(id_)
+            finally:
+                if kept is not None:
+                    kept |= {id_: runner._results.get(id_) for id_ in kept}
         # only a run whose stages have all ended well has results that can be compared
         recorder.audit()
     return recorder.record
@@ -350,7 +361,7 @@ class StepRunner:
     def _readers(self, step: Step) -> Sequence[Any]:
         """Begin all steps that read what a step makes; see `Context.begin_readers`."""
         readers = [other for other in self._steps.values() if step.id in other.inputs.values()]
-        if isinstance(self.folder, Scratch) or self.keep or self.earlier is not None or is_strict():
+        if isinstance(self.folder, Scratch) or step.id in self.keep or self.earlier is not None or is_strict():
             return ()
         # a reader with a second input would have to wait for it, and a plugin may keep what it is handed
         if any(len(other.inputs) > 1 or not other.owner.builtin for other in readers):

@@ -24,7 +24,8 @@ def sppm_commands() -> dict[str, Command]:
     return {
         "report": Command(
             "write one HTML file that shows a run directory, to be mailed", f"{__name__}.report.command:configure",
-            f"{__name__}.report.command:execute", f"{__name__}.report.command:after_run",
+            f"{__name__}.report.command:execute", f"{__name__}.report.command:shown_stages",
+            f"{__name__}.report.command:after_run",
         ),
         "view": Command(
             "show a run directory in the browser", f"{__name__}.live.serving:configure",

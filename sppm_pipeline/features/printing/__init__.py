@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from sppm_pipeline.hookspecs import Command, hookimpl
+from sppm_pipeline.nouns.report import ReportSection
 
 STAGES = {
     "tune.orientation": "TuneOrientation",
@@ -22,6 +26,14 @@ STAGES = {
 def sppm_stages() -> dict[str, str]:
     """The stages of this feature."""
     return {name: f"{__name__}.stages.{name.replace('.', '_')}:{cls}" for name, cls in STAGES.items()}
+
+
+@hookimpl
+def sppm_report_sections(record: Mapping[str, Any]) -> list[ReportSection]:
+    """What the check of the print and the writer of its layers found."""
+    from sppm_pipeline.features.printing.print_section import print_sections
+
+    return print_sections(record)
 
 
 @hookimpl

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerWriter
+from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerWriter, StoredLayers
 from sppm_pipeline.method.nouns.printer import Printer, Resin, cards
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.services.arrays import U8
@@ -50,6 +50,13 @@ def placed(image: U8, printer: Printer) -> tuple[U8, Place]:
     if printer.mirror_y:
         image, top = image[::-1], height - rows - top
     return image, Place(top, left, height, width)
+
+
+def unplaced(picture: U8, place: Place, shape: tuple[int, ...], printer: Printer) -> U8:
+    """The layer of which `placed` made the block of this shape."""
+    image = picture[place.top : place.top + shape[0], place.left : place.left + shape[1]]
+    image = image[:: -1 if printer.mirror_y else 1, :: -1 if printer.mirror_x else 1]
+    return image[::-1].T if printer.portrait else image
 
 
 @dataclass(frozen=True)
@@ -215,7 +222,8 @@ class PrinterWriter(LayerWriter):
         facts = {
             "printer": job.printer.name, "resin": job.resin.name, "resin_measured": job.resin.measured,
             "resin_ml": job.milliliters, "resin_g": job.grams, "print_time_s": job.seconds,
-            "verified_on_hardware": job.printer.verified_on_hardware,
+            "verified_on_hardware": job.printer.verified_on_hardware, "pixels": list(stack.shape[:2]),
+            "pixel_mm": list(stack.pixel_mm), "layer_mm": stack.layer_mm, "origin_mm": list(stack.origin_mm),
         }  # fmt: skip
         return facts if job.price is None else {**facts, "resin_price": job.price}
 
@@ -230,6 +238,25 @@ class PrinterWriter(LayerWriter):
     def _printer(stack: SliceStack) -> Printer:
         assert stack.printer is not None  # `run` has refused others
         return stack.printer
+
+    @classmethod
+    def stored(cls, target: Path, summary: Mapping[str, Any], options: Mapping[str, Any]) -> StoredLayers:
+        own = options.get("cards")
+        printer = cards(None if own is None else Path(str(own))).printer(str(summary["printer"]))
+        nx, ny = (int(n) for n in summary["pixels"])
+        block, place = placed(np.broadcast_to(np.uint8(0), (ny, nx)), printer)
+        if min(place) < 0:
+            raise ValueError("the layers do not fit on the display")
+        pictures = cls.pictures(target, printer, (place.height, place.width))
+        return StoredLayers(
+            int(summary["layers"]), (nx, ny), summary["pixel_mm"], float(summary["layer_mm"]), summary["origin_mm"],
+            lambda k: unplaced(pictures(k), place, block.shape, printer), place.height * place.width,
+        )  # fmt: skip
+
+    @classmethod
+    @abstractmethod
+    def pictures(cls, target: Path, printer: Printer, shape: tuple[int, int]) -> Callable[[int], U8]:
+        """A function that reads the picture (height, width) of layer k from a file that `store` has written."""
 
     @abstractmethod
     def encode_placed(self, block: U8, place: Place, printer: Printer) -> bytes:

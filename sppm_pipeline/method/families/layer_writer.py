@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -63,6 +64,31 @@ class EncodedLayers:
     @property
     def findings(self) -> dict[str, Any]:
         return self._slabs.findings
+
+
+class StoredLayers(NamedTuple):
+    """Layers that a writer has stored, for reports: `image` reads layer k as `LayerWriter.encode` took it."""
+
+    layers: int
+    size: tuple[int, int]  # width and height in pixels
+    pixel_mm: tuple[float, float]
+    layer_mm: float
+    origin_mm: tuple[float, float, float]
+    image: Callable[[int], U8]
+    pixels: int  # that are decoded for a layer
+    png: Callable[[int], bytes] | None = None  # the file of layer k, if each has one of its own
+
+
+def gray_of(data: bytes, pixels: int) -> U8:
+    """A PNG file of so many pixels, as gray values, or those of three pixels in a row as colors; else `ValueError`."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+        colors = 3 if image.mode == "RGB" else 1
+        # known before it is decoded: a small file may hold billions of pixels
+        if image.width * image.height * colors != pixels:
+            raise ValueError(f"a layer has {image.width} x {image.height} pixels")
+        return np.asarray(image if colors == 3 else image.convert("L")).reshape(image.height, -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +189,27 @@ class LayerWriter(Stage):
             "row_0": "+y", "column_0": "-x", **layers.findings,
         }  # fmt: skip
         (target / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+
+    @classmethod
+    def stored(cls, target: Path, summary: Mapping[str, Any], options: Mapping[str, Any]) -> StoredLayers | None:
+        """Layers that a run has stored in `target`, by its record; None if reports can't show them.
+
+        The default reads a folder of PNG files with ``manifest.json``. What is not as it was written raises OSError,
+        ValueError, KeyError or TypeError.
+        """
+        manifest = json.loads((target / "manifest.json").read_bytes())
+        count, first = int(manifest["layers"]), PurePosixPath(str(manifest["first_file"]))
+        if first.suffix != ".png" or count < 1:
+            return None
+        size = int(manifest["width_px"]), int(manifest["height_px"])
+
+        def png(k: int) -> bytes:
+            return (target / f"{k:0{len(first.stem)}d}.png").read_bytes()
+
+        return StoredLayers(
+            count, size, manifest["pixel_mm"], float(manifest["layer_mm"]), manifest["origin_mm"],
+            lambda k: gray_of(png(k), size[0] * size[1]), size[0] * size[1], png,
+        )  # fmt: skip
 
     def encoding(self, stack: SliceStack) -> dict[str, Any]:
         """Entries of ``manifest.json`` that describe how `encode` writes a pixel."""

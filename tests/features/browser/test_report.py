@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import InputError
@@ -17,13 +21,16 @@ from sppm_pipeline.features.browser.live.page import MAGIC, encode_view, head_of
 from sppm_pipeline.features.browser.live.views import clustered, view_of
 from sppm_pipeline.features.browser.report.boxes import boxes, chart_svg, duration, line_chart, porosities, ticks
 from sppm_pipeline.features.browser.report.build import report_html, wiring_svg
-from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of
+from sppm_pipeline.features.browser.report.command import fitted
+from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of, stored_layers, view_of_layers
 from sppm_pipeline.features.browser.report.records import read_record
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.nouns.report import Curve
 from sppm_pipeline.services.elastic.directional import sphere_mesh
+
+BUILT_IN = Registry(load_plugins(distributions=False))
 
 
 def report(folder, **options):
@@ -138,17 +145,112 @@ def test_files_outside_of_the_run_are_not_shown(copied):
 
 
 def test_layers_are_thinned_to_their_room(small_run):
-    outputs = outputs_of(small_run, read_record(small_run)["stages"])
-    every = layers_of(small_run, outputs, 10**9)
+    stored = stored_layers(small_run, read_record(small_run)["stages"], BUILT_IN)
+    every = layers_of(*stored, 10**9)
     files = sorted((small_run / "slices").glob("[0-9]*.png"))
     assert every.files == [file.read_bytes() for file in files]
     assert every.numbers == list(range(64))
     written = next(s for s in read_record(small_run)["stages"] if s["id"] == "write.png")
     assert every.solid_mm2.sum() * every.layer_mm == pytest.approx(written["summary"]["solid_volume_mm3"], rel=1e-9)
-    some = layers_of(small_run, outputs, sum(map(len, every.files)) // 3)
+    some = layers_of(*stored, sum(map(len, every.files)) // 3)
     assert sum(map(len, some.files)) <= sum(map(len, every.files)) // 3
     assert np.ptp(np.diff(some.numbers)) == 0
     assert "layers are shown, evenly spread" in report(small_run, max_bytes=20_000)
+
+
+def test_layers_stand_for_a_part_of_which_nothing_else_is_left(small_run):
+    _, stored = stored_layers(small_run, read_record(small_run)["stages"], BUILT_IN)
+    head, field = opened_view(view_of_layers(stored))
+    assert head["shape"] == [stored.size[0] + 2, stored.size[1] + 2, stored.layers + 2]  # none is left out
+    inside = field.reshape(head["shape"][::-1])[1:-1, 1:-1, 1:-1]
+    for k in (5, 40):
+        assert np.array_equal(255 - inside[k], stored.image(k)[::-1])
+    assert field.min() == 0
+    assert inside.size < field.size
+    assert np.allclose(np.add(head["origin"], np.array(head["size"]) / head["shape"]), stored.origin_mm)
+
+
+def opened_view(data):
+    """Head and field of a view file of samples."""
+    head = head_of(data)
+    (blob,) = head["blobs"]
+    packed = data[len(data) - blob["bytes"] :]
+    return head, np.cumsum(np.frombuffer(gzip.decompress(packed), np.uint8), dtype=np.uint8)
+
+
+def test_a_view_gets_as_many_samples_as_there_is_room(small_run):
+    part = open_run_part(small_run)
+    whole, said = fitted(part, 150_000, 2**40, 2)
+    assert said == ""
+    some, said = fitted(part, 150_000, len(whole) // 2, 2)
+    assert 0.2 * len(whole) < len(some) <= len(whole) // 2
+    assert f"takes {len(whole) / 1e6:.1f} MB; it is shown with `--max-size 1MB`" in said
+    assert fitted(part, 150_000, 500, 2)[0] is None
+
+
+def open_run_part(folder):
+    session = open_session(RunRequest(str(folder / "run.json"), distributions=False))
+    return run_in_memory(session.plan(), threads=2, until="fill.implicit").result("fill.implicit")
+
+
+def test_the_view_is_taken_from_the_run_itself(tmp_path, monkeypatch, capsys):
+    """Without a cache, and with stages that no report would run again."""
+    (tmp_path / "cell.yaml").write_text(CELL)
+    monkeypatch.setattr("sppm_pipeline.features.browser.report.command.QUICK", -1.0)
+    words = [str(tmp_path / "cell.yaml"), "-o", str(tmp_path / "run"), "--no-cache", "-q"]
+    assert main(["run", *words, "--report"]) == 0
+    assert 'id="data-view"' in (tmp_path / "run" / "report.html").read_text()
+    assert main(["report", str(tmp_path / "run"), "--no-cache"]) == 0
+    text = (tmp_path / "run" / "report.html").read_text()
+    assert 'id="data-view"' not in text
+    assert "is not in the cache; `sppm report --remake`" in text
+    capsys.readouterr()
+
+
+CELL = """
+sppm: 1
+pipeline:
+  - {stage: sample.dart_throwing, total: 12, share: 0.55}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
+"""
+
+PRINTED = """
+sppm: 1
+recipes:
+  cell:
+    - {stage: sample.dart_throwing, total: 12, share: 0.55}
+    - {stage: connect.mst}
+    - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
+pipeline:
+  - {stage: read.primitive, shape: box, size: [5 mm, 5 mm, 3 mm]}
+  - {stage: tile.scattered, recipe: cell, cell: 4 mm, porosity: 0.7}
+  - {stage: fill.implicit, skin: 0.4 mm}
+  - {stage: slice.field, printer: elegoo_mars_4, layer: 0.2 mm}
+  - {stage: check.print, resin: generic_gray, pictures: 2}
+  - {stage: write.goo, path: part.goo}
+"""
+
+
+def test_the_section_of_a_print(tmp_path, capsys):
+    (tmp_path / "part.yaml").write_text(PRINTED)
+    assert main(["run", str(tmp_path / "part.yaml"), "-o", str(tmp_path / "run"), "-q", "--report"]) == 0
+    html = (tmp_path / "run" / "report.html").read_text()
+    text = " ".join(shown(html).split())
+    numbers = {stage["id"]: stage["summary"] for stage in read_record(tmp_path / "run")["stages"]}
+    check, goo = numbers["check.print"], numbers["write.goo"]
+    assert f"Print {check['verdict']}" in text
+    assert text.index("Print ") < text.index("The structure")
+    assert f"resin {goo['resin_ml']:.3g} ml, {goo['resin_g']:.3g} g generic_gray" in text
+    assert f"largest cup {check['largest_cup_mm2']:.6g} mm²" in text
+    assert "print/marked.png" in text
+    assert f"porosity of the infill: layers {100 * goo['infill_porosity']:.2f} %" in text
+    assert f"porosity of the part: layers {100 * (1 - goo['solid_volume_mm3'] / 75):.2f} %" in text
+    assert f"{goo['layers']} layers of" in text
+    assert 'id="data-layers"' in html
+    assert str(tmp_path) not in html
+    assert "audit: passed" in text
+    capsys.readouterr()
 
 
 def test_differences_of_porosity(small_run):

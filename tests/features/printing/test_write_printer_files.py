@@ -9,6 +9,7 @@ import itertools
 import struct
 import zipfile
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -185,6 +186,29 @@ def test_every_pixel_is_where_it_belongs(kind, changed, gray, tmp_path):
     stack, layers = noise(printer, gray)
     path, _ = written(stack, tmp_path)
     assert np.array_equal(on_plate(all_pictures(path, kind), printer), expected(layers, printer))
+
+
+@pytest.mark.parametrize(
+    ("changed", "gray"),
+    [({}, False), ({"mirror_x": True, "portrait": True}, True), ({"mirror_y": True}, True)],
+    ids=str,
+)
+@pytest.mark.parametrize("kind", WRITERS)
+def test_what_is_written_is_read_again_for_reports(kind, changed, gray, tmp_path, monkeypatch):
+    printer = machine(kind, **changed)
+    printer = replace(printer, display_mm=(printer.pixels[0] * 0.019, printer.pixels[1] * 0.024))
+    stack, layers = noise(printer, gray)
+    path, context = written(stack, tmp_path)
+    own = SimpleNamespace(printer={printer.name: printer}.__getitem__)
+    monkeypatch.setattr("sppm_pipeline.features.printing.printer_writer.cards", lambda file: own)
+    found = WRITERS[kind].stored(path, context.reported, {"cards": None})
+    assert found.layers == stack.shape[2]
+    assert found.size == stack.shape[:2]
+    for k in (3, 0, 5, 1):
+        assert np.array_equal(found.image(k)[::-1], layers[k])
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])  # a broken file is no layer, and no crash
+    with pytest.raises((OSError, ValueError, LookupError, zipfile.BadZipFile, struct.error)):
+        WRITERS[kind].stored(path, context.reported, {}).image(5)
 
 
 @pytest.mark.parametrize(("width", "gray"), [(7, 255), (8, 9), (64, 255), (1, 1), (4096, 77)])

@@ -13,6 +13,7 @@ import base64
 import gzip
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 MAGIC = b"sppmview 1\n"
 SUFFIX = ".view"
+VIEW_SHARE = 0.75
+"""Share of a report that the live view may take, a heuristic; layers and pictures get the rest."""
+
 MAX_HEAD = 2**22
 """Bytes of a head that are read."""
 
@@ -62,6 +66,16 @@ def head_of(data: bytes) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"this is no view file: {error}", hint="write one with `write.view`") from error
     return head
+
+
+def room_of_view(max_bytes: int) -> int:
+    """Bytes that a view file may take in a report of at most so many."""
+    return int(VIEW_SHARE * 0.75 * max_bytes)
+
+
+def wanted(size: int) -> str:
+    """The size of a view file, and the limit with which a report shows it."""
+    return f"{size / 1e6:.1f} MB; it is shown with `--max-size {math.ceil(size / (VIEW_SHARE * 0.75e6))}MB`"
 
 
 ASSETS = Path(__file__).with_name("assets")

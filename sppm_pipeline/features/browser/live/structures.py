@@ -121,6 +121,7 @@ def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
         "level": level, "top": top - base, "base": base, "level_name": "level C" if level else "offset",
         "domain": outer is not None, "periodic": field.periodic and outer is None, "per_cell": 1 / grid.spacing[0],
         "lattice_mm": list(field.origin_mm), "explore": None,
+        "marks": [["drain", *drain[3:6]] for drain in field.drains] if isinstance(field, Part) else [],
     }  # fmt: skip
     inside = np.ones(inner.shape, np.float32) if outer is None else np.clip(0.5 - outer, 0, 1)
     whole = float(inside.sum(dtype=np.float64))

@@ -35,15 +35,16 @@ def view_of(what: Artifact, *, samples: int = SAMPLES, threads: int = 1) -> byte
     vertices, faces, title, unit = what.live_view()
     if not len(faces):
         raise DesignError(f"the {title} has no triangles, so that there is nothing to be shown")
-    return mesh_view(vertices, faces, title=title, unit=unit)
+    return mesh_view(vertices, faces, title=title, unit=unit, most=TRIANGLES * min(samples, SAMPLES) // SAMPLES)
 
 
 def mesh_view(
     vertices: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], *, title: str, unit: str,
+    most: int = TRIANGLES,
 ) -> bytes:  # fmt: skip
     """The view file of a mesh, vertices (n, 3) and at least one of faces (m, 3).
 
-    `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of over `TRIANGLES`
+    `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of over `most`
     triangles, vertices in small cubes are merged, and triangles that vanish are left out.
     """
     from sppm_pipeline.services.mesh.measures import balanced_edges
@@ -52,7 +53,7 @@ def mesh_view(
     points, triangles = np.asarray(vertices, float)[used], corners.reshape(-1, 3)
     # 16 bits along the longest edge resolve more than a screen does
     low, size = points.min(0), np.ptp(points, axis=0)
-    kept, shown = clustered(points, triangles, TRIANGLES)
+    kept, shown = clustered(points, triangles, most)
     longest = float(size.max()) or 1.0
     steps = np.rint((kept - low) / longest * STEPS).astype(np.uint16)
     head = {

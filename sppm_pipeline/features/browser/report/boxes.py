@@ -179,7 +179,9 @@ def porosities(stages: Sequence[Mapping[str, Any]], view: Mapping[str, Any] | No
             found["layers"] = (1 - float(summary["solid_volume_mm3"]) / volume, stage["id"])
         if family in ("extract", "fill") and is_number(summary.get("volume_mm3")):
             found["mesh"] = (1 - float(summary["volume_mm3"]) / volume, stage["id"])
-    order = ("wanted", "field", "layers", "mesh")
+        if is_number(summary.get("infill_porosity")):
+            found["infill"] = (float(summary["infill_porosity"]), stage["id"])
+    order = ("wanted", "infill", "field", "layers", "mesh")
     return [(what, *found[what]) for what in order if what in found and math.isfinite(found[what][0])]
 
 
@@ -190,12 +192,28 @@ def boxes(
     """All boxes of a run; `kinds` are the types of what its stages made, by their ids."""
     made: list[Box] = []
     known = porosities(stages, view)
+    # with a skin, what was wanted is the porosity of the infill, and the part has another
+    summaries = [stage.get("summary", {}) for stage in stages]
+    apart = any(summary.get("skin_mm") or summary.get("fills") for summary in summaries)
+    of_infill = ("wanted", "infill") if apart else ()
+    # samples of the live view are too coarse for thin skins; layers know better
+    there = {what for what, _, stage in known if not (apart and stage == "live view")}
+    known = [one for one in known if one[0] != "infill" or apart]
+    known = [one for one in known if one[0] in there or "layers" not in there]
     for what, value, stage in known:
-        others = [(name, value - other) for name, other, _ in known if name != what]
+        others = [(n, value - other) for n, other, _ in known if n != what and (n in of_infill) == (what in of_infill)]
         far = max((abs(gap) for _, gap in others), default=0.0) > MAX_GAP
         gaps = ", ".join(f"{100 * gap:+.2f} to {name}".replace("-0.00", "+0.00") for name, gap in others)
         note = f"{gaps} ({stage})" if gaps else stage
-        made.append(Box(f"porosity: {what}", f"{100 * value:.2f} %", note, far and what != "wanted"))
+        name = f"porosity {'of the infill' if what in of_infill else 'of the part' if apart else ''}".rstrip()
+        made.append(
+            Box(
+                f"{name}: {'layers' if what == 'infill' else what}",
+                f"{100 * value:.2f} %",
+                note,
+                far and what != "wanted",
+            )
+        )
     for maker in stages:
         if (kind := kinds.get(str(maker.get("id")))) is not None:
             made += kind.report_boxes(maker.get("summary", {}), str(maker["id"]))

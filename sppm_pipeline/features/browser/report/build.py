@@ -24,9 +24,18 @@ from sppm_pipeline.features.browser.live.page import (
     joined_script,
     json_block,
     policy,
+    room_of_view,
+    wanted,
 )
 from sppm_pipeline.features.browser.report.boxes import boxes, chart_svg, duration, line_chart
-from sppm_pipeline.features.browser.report.layers import Layers, data_uri, layers_of, outputs_of, pictures_of
+from sppm_pipeline.features.browser.report.layers import (
+    Layers,
+    data_uri,
+    layers_of,
+    outputs_of,
+    pictures_of,
+    stored_layers,
+)
 from sppm_pipeline.features.browser.report.records import without_folders
 from sppm_pipeline.features.browser.report.sweeps import sweep_context
 from sppm_pipeline.nouns.artifact import Artifact, shown
@@ -134,9 +143,8 @@ def sections_of(record: Mapping[str, Any], plugins: Plugins) -> list[ReportSecti
 
 HERE = Path(__file__).parent
 
-VIEW_SHARE, LAYERS_SHARE, PICTURES_SHARE = 0.5, 0.3, 0.1
-"""Shares of a report that the live view, the layers and the pictures may take. A heuristic: what one does not use is
-not added to another; a larger report is a matter of `--max-size`."""
+PICTURES_SHARE, PAGE = 0.1, 120_000
+"""Share of a report that pictures may take, and bytes of the page itself, which are heuristics."""
 
 LONGEST_NAME = 300
 """Characters of a name or text that are shown; `run.json` has all of them."""
@@ -153,16 +161,12 @@ def report_html(
     writes them.
 
     Files whose digests are wrong are named in red. `view` is a view file, as ``write.view`` writes it, `note` says why
-    there is none, and what to do. The view, layers and pictures get fixed shares of `max_bytes`. Results and sections
-    are shown of the stages of `plugins`, the built-in ones if omitted.
+    there is none, and what to do. The view comes first; layers get what it and the pictures leave of `max_bytes`.
+    Results and sections are shown of the stages of `plugins`, the built-in ones if omitted.
     """
     raw = max_bytes * 3 // 4  # base64 makes 4 characters of 3 bytes
-    if view is not None and len(view) > VIEW_SHARE * raw:
-        note = (
-            f"The live view takes {len(view) / 1e6:.1f} MB; it is shown with a larger --max-size, or with fewer "
-            "`grid_samples` of `write.view`."
-        )
-        view = None
+    if view is not None and len(view) > room_of_view(max_bytes):
+        note, view = f"The live view takes {wanted(len(view))}.", None
     try:
         # a report may be mailed: what follows sees no folder of this disk
         record = without_folders(record)
@@ -181,14 +185,19 @@ def _context(
     stages: list[Mapping[str, Any]] = list(record["stages"])
     outputs = outputs_of(path, stages)
     view_head = head_of(view) if view is not None else None
-    layers = layers_of(path, outputs, int(LAYERS_SHARE * raw))
+    registry = Registry(plugins)
+    sections = sections_of(record, plugins)
     pictures = pictures_of(path, outputs, int(PICTURES_SHARE * raw))
+    shown_sections = [_section(path, section, int(PICTURES_SHARE * raw)) for section in sections]
+    left = raw - len(view or b"") - sum(len(p.source) * 3 // 4 for p in pictures) - PAGE
+    stored = stored_layers(path, stages, registry)
+    layers = layers_of(*stored, left - sum(one["bytes"] for one in shown_sections)) if stored is not None else None
     still = next((p for p in pictures if _written_by(p.name, stages) == "write.picture"), None)
     if still is not None:
         pictures.remove(still)
     shown_stages = _stages(record, stages)
     found, files = verify_run(path, threads)
-    kinds = kinds_of(stages, Registry(plugins))
+    kinds = kinds_of(stages, registry)
     described = (
         chart
         for stage in stages
@@ -198,6 +207,8 @@ def _context(
     charts = [drawn for chart in described if (drawn := chart_svg(chart))]
     data: dict[str, str] = {}
     if layers is not None:
+        overview = f"{Path(layers.folder).with_suffix('').as_posix()}-overview.png"
+        pictures = [picture for picture in pictures if picture.name != overview]
         data["layers"] = base64.b64encode(b"".join(layers.files)).decode()
     if view is not None:
         data["view"] = base64.b64encode(view).decode()
@@ -206,11 +217,13 @@ def _context(
         data["rows"] = sweep["packed"]
     return {
         "name": str(record["name"]), "status": str(record["status"]), "error": record.get("error"),
-        "facts": _facts(record), "boxes": boxes(record, stages, view_head, kinds) if sweep is None else sweep["boxes"],
+        "facts": _facts(record), "audit": record.get("audit"),
+        "boxes": [box for section in sections for box in section.boxes]
+        + (boxes(record, stages, view_head, kinds) if sweep is None else sweep["boxes"]),
         "warnings": _warnings(record, stages), "view": view_head, "still": still,
         "layers": None if layers is None else _layers(layers, view_head),
         "layers_head": None if layers is None else json_block(layers.head()), "charts": charts,
-        "sections": [_section(section) for section in sections_of(record, plugins)], "pictures": pictures,
+        "sections": shown_sections, "pictures": pictures,
         "wiring": wiring_svg(shown_stages), "stages": shown_stages, "sweep": sweep,
         "provenance": {
             "yaml": _yaml(record.get("config"))[:LONGEST_TEXT], "files": files,
@@ -314,11 +327,14 @@ def _written_by(name: str, stages: Sequence[Mapping[str, Any]]) -> str:
     return ""
 
 
-def _section(section: ReportSection) -> dict[str, Any]:
-    """A section as the template shows it."""
+def _section(path: Path, section: ReportSection, room: int) -> dict[str, Any]:
+    """A section as the template shows it, with pictures of at most `room` bytes."""
+    pictures = pictures_of(path, outputs_of(path, [{"outputs": [{"path": name} for name in section.pictures]}]), room)
     return {
-        "title": section.title, "text": section.text, "rows": _pairs(dict(section.rows)),
-        "charts": [drawn for chart in section.charts if (drawn := chart_svg(chart))],
+        "title": section.title, "text": section.text, "first": bool(section.boxes),
+        "rows": [(str(name), shown(value)) for name, value in section.rows],
+        "charts": [drawn for chart in section.charts if (drawn := chart_svg(chart))], "pictures": pictures,
+        "bytes": sum(len(picture.source) * 3 // 4 for picture in pictures),
     }  # fmt: skip
 
 
@@ -339,7 +355,7 @@ def _layers(layers: Layers, view: Mapping[str, Any] | None) -> dict[str, Any]:
     return {
         "count": layers.total, "folder": layers.folder, "middle": layers.numbers[middle],
         "source": data_uri("image/png", layers.files[middle]), "width": layers.size[0], "height": layers.size[1],
-        "exact": layers.reduced == 1, "words": " ".join(words), "shown": len(layers.files),
+        "exact": layers.exact, "words": " ".join(words), "shown": len(layers.files),
         "chart": line_chart(curves, "layer", label, id_="layers-chart"),
         "aspect": f"{layers.size[0] * layers.pixel_mm[0]:g} / {layers.size[1] * layers.pixel_mm[1]:g}",
     }  # fmt: skip

@@ -6,6 +6,7 @@ import contextlib
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.cache.session import CacheSession
@@ -15,9 +16,9 @@ from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.errors import ConfigError, SppmError
-from sppm_pipeline.features.browser.live.page import SUFFIX, head_of
+from sppm_pipeline.features.browser.live.page import SUFFIX, head_of, room_of_view, wanted
 from sppm_pipeline.features.browser.live.views import SAMPLES, view_of
-from sppm_pipeline.nouns.artifact import Viewable
+from sppm_pipeline.nouns.artifact import Artifact, Viewable
 from sppm_pipeline.nouns.report import Report
 from sppm_pipeline.nouns.viewers import viewer_of
 
@@ -25,21 +26,26 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
     from sppm_pipeline.engine.plan.plugins import Plugins
 
-QUICK = 3.0
+QUICK = 20.0
 """Seconds; stages that took less in the run are repeated for a report, slower ones only with `--remake`."""
+
+MIN_SAMPLES = 30_000
+"""Samples, or a number of triangles in proportion, below which a view shows nothing."""
 
 REMAKE = "`sppm report --remake` runs again what it needs, or add `- {stage: write.view}` to the pipeline"
 
 
 def live_view(
     path: Path, record: Mapping[str, Any], outputs: Sequence[Mapping[str, Any]], request: RunRequest, *,
-    store: Store | None, threads: int, remake: bool = False, samples: int = SAMPLES,
+    store: Store | None, threads: int, remake: bool = False, samples: int = SAMPLES, most: int = 2**40,
+    kept: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[bytes | None, str]:  # fmt: skip
-    """The view file of a run, or None and why there is none.
+    """The view file of a run, of at most `most` bytes, or None and why there is none; with what it leaves out.
 
     `outputs` are those of the run that lie in its directory, `request` says which plugins may be loaded, `store` is
-    the cache; with `remake` stages may run that took long; `samples` as for `view_of`.
+    the cache; with `remake` stages may run that took long; `samples` as for `view_of`; `kept` are results of the run.
     """
+    note = ""
     for output in reversed(outputs):
         if str(output["path"]).endswith(SUFFIX):
             try:
@@ -47,21 +53,42 @@ def live_view(
                 head_of(data)
             except (SppmError, OSError) as error:
                 return None, f"The live view {output['path']!r} can't be read: {error}"
-            return data, ""
+            if len(data) <= most:
+                return data, ""
+            note = f"The live view {output['path']!r} takes {wanted(len(data))}."
     if "runs" in record:
         return None, ""
     try:
+        if (made := next((result for result in reversed([*kept.values()]) if result is not None), None)) is not None:
+            return fitted(made, samples, most, threads)
         # by default no plugins may be loaded: a report must not run code that came with the run of another user
         plan = open_session(request).plan()
         step = _last_shown(plan, {str(stage["id"]) for stage in record["stages"]})
         if step is None:
-            return None, ""
+            return None, note
         if not remake and (lacking := _lacking(plan, step, record, store)):
-            return None, f"There is no live view: {lacking}; {REMAKE}."
+            return None, note or f"There is no live view: {lacking}; {REMAKE}."
         memory = run_in_memory(plan, threads=threads, until=step.id, store=store)
-        return view_of(memory.result(step.id), samples=samples, threads=threads), ""
+        return fitted(memory.result(step.id), samples, most, threads)
     except SppmError as error:
-        return None, f"There is no live view: {error.message}."
+        return None, note or f"There is no live view: {error.message}."
+
+
+def fitted(what: Artifact, samples: int, most: int, threads: int) -> tuple[bytes | None, str]:
+    """The view file of an artifact with as many samples or triangles as `most` bytes hold, and what is left out."""
+    data, note = view_of(what, samples=samples, threads=threads), ""
+    if len(data) > most:
+        note = f"The live view is coarser than it could be: in full it takes {wanted(len(data))}."
+    while len(data) > most and samples > MIN_SAMPLES:
+        samples = int(0.9 * samples * most / len(data))
+        data = view_of(what, samples=samples, threads=threads)
+    return (data, note) if len(data) <= most else (None, f"The live view takes {wanted(len(data))}.")
+
+
+def shown_stages(plan: Plan) -> list[str]:
+    """The stage whose result the report of a run will show live, if there is one."""
+    step = _last_shown(plan, {step.id for step in plan.steps})
+    return [] if step is None else [step.id]
 
 
 def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
@@ -148,14 +175,14 @@ def make_report(args: Namespace, target: Path) -> None:
     of_run(args.directory, target, args, most=most, view=not args.no_view, remake=args.remake, plugins=args.remake)
 
 
-def after_run(path: Path, args: Namespace) -> None:
-    """Write the report of a run that has just ended, with the plugins and the cache that it had."""
-    of_run(path, path / REPORT, args)
+def after_run(path: Path, args: Namespace, kept: Mapping[str, Any]) -> None:
+    """Write the report of a run that has just ended, with its plugins, its cache, and results that were kept."""
+    of_run(path, path / REPORT, args, kept=kept)
 
 
 def of_run(
     path: Path, target: Path, args: Namespace, *, most: int = 5_000_000, view: bool = True, remake: bool = False,
-    plugins: bool = True,
+    plugins: bool = True, kept: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:  # fmt: skip
     """Write the report of a run directory to `target`, of at most `most` bytes.
 
@@ -186,8 +213,24 @@ def of_run(
         store = open_store(cache) if cache is not None else None
         outputs = outputs_of(path, record.get("stages", ()))
         again = request if plugins else replace(request, plugins=(), distributions=False)
-        found = live_view(path, record, outputs, again, store=store, threads=threads, remake=remake)
+        found = live_view(
+            path,
+            record,
+            outputs,
+            again,
+            store=store,
+            threads=threads,
+            remake=remake,
+            most=room_of_view(most),
+            kept=kept,
+        )
     known = _plugins_of(request, plugins)
+    if view and found[0] is None and "runs" not in record:
+        from sppm_pipeline.engine.plan.registry import Registry
+        from sppm_pipeline.features.browser.report.layers import stored_layers, view_of_layers
+
+        if (stored := stored_layers(path, record["stages"], Registry(known))) is not None:
+            found = view_of_layers(stored[1]), f"{found[1]} What is shown is made of the layers, at reduced detail."
     text = report_html(path, record, view=found[0], note=found[1], max_bytes=most, threads=threads, plugins=known)
     write_whole(target, text, durable=False)
 

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from struct import error
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
 from sppm_pipeline.engine.config.names import output_parts
+from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.features.browser.live.page import encode_view
+from sppm_pipeline.features.browser.live.structures import OVERVIEW
+from sppm_pipeline.method.families.layer_writer import LayerWriter, StoredLayers
 from sppm_pipeline.services.arrays import F64
+from sppm_pipeline.stage import Stage
 
 MAX_LAYERS = 1500
 """Layers in a report; of more, every k-th is shown."""
@@ -28,6 +34,9 @@ MAX_PICTURES = 24
 MAX_OPENED = 2**26
 """Maximum number of pixels of a picture that is decoded, which takes 0.25 GB then."""
 
+MAX_DECODED = 3 * 10**9
+"""Pixels of layers that are decoded, about 10 s; of large displays, fewer layers are shown."""
+
 
 class Layers(NamedTuple):
     """The layers of a run, as PNG files one after the other."""
@@ -37,7 +46,8 @@ class Layers(NamedTuple):
     numbers: list[int]  # which layers these are
     files: list[bytes]
     size: tuple[int, int]  # width and height in pixels, as printed
-    reduced: int  # pixels of a layer along one of the pictures here; 1 if these are the files themselves
+    reduced: int  # pixels of a layer along one of the pictures here
+    exact: bool  # whether these are the files themselves
     pixel_mm: tuple[float, float]
     layer_mm: float
     origin_mm: tuple[float, float, float]
@@ -53,61 +63,94 @@ class Layers(NamedTuple):
         }  # fmt: skip
 
 
-def layers_of(path: Path, outputs: Sequence[Mapping[str, Any]], budget: int) -> Layers | None:
-    """Layers that a run has written as a folder of PNG files, of at most `budget` bytes; None if none can be read."""
-    for output in outputs:
-        folder = path / str(output.get("path"))
-        if "files" not in output or not (folder / "manifest.json").is_file():
-            continue
+def stored_layers(
+    path: Path, stages: Sequence[Mapping[str, Any]], registry: Registry
+) -> tuple[str, StoredLayers] | None:
+    """The first layers that a stage of a run has written and can read again, and where; None if there are none."""
+    for stage in stages:
+        outputs = outputs_of(path, [stage])
         try:
-            manifest = json.loads((folder / "manifest.json").read_bytes())
-            return _read(folder, str(output["path"]), manifest, budget)
-        except (OSError, ValueError, KeyError, TypeError, SyntaxError):  # Pillow raises the last for broken files
+            kind = registry.get(str(stage["stage"])) if outputs else Stage
+            if issubclass(kind, LayerWriter):
+                name = str(outputs[0]["path"])
+                found = kind.stored(path / name, stage["summary"], stage.get("options", {}))
+                if found is not None and found.layers > 0:
+                    return name, found
+        except (SppmError, OSError, ValueError, KeyError, TypeError, BadZipFile):
             continue
     return None
 
 
-def _read(folder: Path, name: str, manifest: Mapping[str, Any], budget: int) -> Layers | None:
-    count, first = int(manifest["layers"]), str(manifest["first_file"])
-    digits, suffix = len(Path(first).stem), Path(first).suffix
-    if suffix != ".png" or count < 1:
+def view_of_layers(stored: StoredLayers) -> bytes:
+    """The view file of a part by its layers, for where nothing else is left of it: solid shares of blocks of pixels."""
+    from PIL import Image
+
+    lengths = np.multiply((*stored.size, stored.layers), (*stored.pixel_mm, stored.layer_mm))
+    counts = np.rint(lengths * (OVERVIEW / lengths.prod()) ** (1 / 3))
+    most = *stored.size, min(stored.layers, max(2, MAX_DECODED // stored.pixels))
+    nx, ny, nz = np.clip(counts, 1, most).astype(int).tolist()
+    void = np.full((nz + 2, ny + 2, nx + 2), 255, np.uint8)  # what ends at the border is seen to end
+    for k in range(nz):
+        image = stored.image(min(stored.layers - 1, int((k + 0.5) * stored.layers / nz)))
+        small = Image.fromarray(np.ascontiguousarray(image)).resize((nx, ny), Image.Resampling.BOX)
+        void[k + 1, 1:-1, 1:-1] = 255 - np.asarray(small)[::-1]
+    step = lengths / (nx, ny, nz)
+    head = {
+        "kind": "grid", "title": "layers", "shape": [nx + 2, ny + 2, nz + 2], "cells": None, "edge_mm": None,
+        "unit": "mm", "size": (lengths + 2 * step).tolist(), "origin": (np.array(stored.origin_mm) - step).tolist(),
+        "level": 0.5, "top": 1.0, "base": 0.0, "level_name": "", "domain": False, "periodic": False, "porosity": None,
+        "explore": None, "marks": [],
+    }  # fmt: skip
+    return encode_view(head, {"field": void})
+
+
+def layers_of(name: str, stored: StoredLayers, budget: int) -> Layers | None:
+    """Layers of at most `budget` bytes, evenly spread; None if they can't be read."""
+    reduced = -(-max(stored.size) // MAX_PIXELS)
+    exact = stored.png is not None and reduced == 1
+    most = MAX_LAYERS if exact else min(MAX_LAYERS // 6, max(2, MAX_DECODED // stored.pixels))
+    numbers = list(range(0, stored.layers, -(-stored.layers // most)))
+    try:
+        if stored.png is not None and reduced == 1:
+            sizes = [len(stored.png(n)) for n in numbers]
+            # every second, third... until they fit
+            step = next((k for k in range(1, len(numbers)) if sum(sizes[::k]) <= budget), len(numbers))
+            numbers = numbers[::step]
+        read = [_layer(stored, number, reduced) for number in numbers]
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        SyntaxError,
+        BadZipFile,
+        error,
+    ):  # Pillow and struct raise those
         return None
-    size = int(manifest["width_px"]), int(manifest["height_px"])
-    reduced = -(-max(size) // MAX_PIXELS)
-    step = -(-count // (MAX_LAYERS if reduced == 1 else MAX_LAYERS // 6))
-    while True:
-        numbers = list(range(0, count, step))
-        paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
-        if reduced > 1 or len(paths) == 1 or sum(p.stat().st_size for p in paths) <= budget:
-            break
-        step += 1
-    read = [_layer(p, reduced) for p in paths]
     # sizes of reduced layers are known only when they are made: every second one goes until the rest fits
     while len(read) > 1 and sum(len(data) for data, _ in read) > budget:
         read, numbers = read[::2], numbers[::2]
-    px, py = (float(v) for v in manifest["pixel_mm"])
-    x, y, z = (float(v) for v in manifest["origin_mm"])
-    area = size[0] * px * size[1] * py
-    solid = np.array([share * area for _, share in read])
+    (px, py), (nx, ny) = map(float, stored.pixel_mm), stored.size
+    x, y, z = map(float, stored.origin_mm)
+    solid = np.array([share * nx * px * ny * py for _, share in read])
     files = [data for data, _ in read]
-    return Layers(name, count, numbers, files, size, reduced, (px, py), float(manifest["layer_mm"]), (x, y, z), solid)
+    return Layers(
+        name, stored.layers, numbers, files, stored.size, reduced, exact, (px, py), stored.layer_mm,
+        (x, y, z), solid,
+    )  # fmt: skip
 
 
-def _layer(path: Path, reduced: int) -> tuple[bytes, float]:
+def _layer(stored: StoredLayers, number: int, reduced: int) -> tuple[bytes, float]:
     """A layer as PNG, and its solid share."""
     from PIL import Image
 
-    data = path.read_bytes()
-    with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-        if image.width * image.height > MAX_OPENED:
-            # known before it is decoded: a small file may hold billions of pixels
-            raise ValueError("too large a layer")
-        gray = image.convert("L")
-    share = float(np.asarray(gray).mean() / 255)
-    if reduced == 1:
-        return data, share
+    image = stored.image(number)
+    share = float(image.mean() / 255)
+    if stored.png is not None and reduced == 1:
+        return stored.png(number), share
     small = io.BytesIO()
-    gray.reduce(reduced).save(small, "PNG", optimize=True)
+    Image.fromarray(np.ascontiguousarray(image)).reduce(reduced).save(small, "PNG", optimize=True)
     return small.getvalue(), share
 
 

@@ -10,7 +10,7 @@ printer's buffer is not cleared. Layers are encoded from the pixels of the part 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -200,6 +200,26 @@ def _runs(pixels: U8, words: U64, columns: int, top: int, left: int, height: int
     return out[:n], total
 
 
+@jit
+def _fill(data: U8, picture: U8) -> None:
+    """Decode the runs of a layer into the pixels of a picture, which is black, as far as both reach."""
+    at, n, gray = 0, 0, 0
+    while at < data.size and n < picture.size:
+        kind, extra, length = data[at] >> 6, data[at] >> 4 & 3, int(data[at] & 15)
+        at += 1
+        if kind == 1 and at < data.size:
+            gray = int(data[at])
+            at += 1
+        for k in range(extra):
+            length |= (int(data[at + k]) if at + k < data.size else 0) << (4 + 8 * (extra - 1 - k))
+        at += extra
+        value = 0 if kind == 0 else 255 if kind == 3 else gray
+        end = min(n + length, picture.size)
+        if value:
+            picture[n:end] = value
+        n = end
+
+
 @dataclass(frozen=True, kw_only=True)
 class WriteGoo(PrinterWriter):
     """Write the layers as a GOO file: run lengths of the whole display, two pictures, exposures, lifts and rests.
@@ -214,6 +234,25 @@ class WriteGoo(PrinterWriter):
 
     def encode_placed(self, block: U8, place: Place, printer: Printer) -> bytes:
         return encode_layer(block, *place)
+
+    @classmethod
+    def pictures(cls, target: Path, printer: Printer, shape: tuple[int, int]) -> Callable[[int], U8]:
+        record = struct.Struct(("<" if printer.little_endian else ">") + _LAYER)
+        starts = [HEADER_BYTES]  # of the records of layers, as far as they have been found
+
+        def picture(k: int) -> U8:
+            with target.open("rb") as file:
+                for number in range(min(k, len(starts) - 1), k + 1):
+                    file.seek(starts[number])
+                    length = int(record.unpack(file.read(record.size))[-1])
+                    if len(starts) == number + 1:
+                        starts.append(file.tell() + length + len(DELIMITER))
+                data = file.read(length)
+            found = np.zeros(shape, np.uint8)
+            _fill(np.frombuffer(data[1:-1], np.uint8), found.reshape(-1))
+            return found
+
+        return picture
 
     def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
         job, printer, motion = self.job(stack, {}), self._printer(stack), self._printer(stack).motion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -31,6 +32,12 @@ class WriteNanodlp(PrinterWriter):
         from sppm_pipeline.services.formats.png import encode_layer
 
         return encode_layer(place.filled(block), bits=8, subpixels=printer.subpixels)
+
+    @classmethod
+    def pictures(cls, target: Path, printer: Printer, shape: tuple[int, int]) -> Callable[[int], U8]:
+        from sppm_pipeline.features.printing.stages.write_sl1 import read_archive
+
+        return read_archive(target, shape)
 
     def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
         from sppm_pipeline.features.printing.stages.write_sl1 import write_archive

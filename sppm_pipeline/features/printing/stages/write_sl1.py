@@ -11,7 +11,7 @@ from which PrusaSlicer imports a file again.
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -20,7 +20,7 @@ import numpy as np
 
 from sppm_pipeline import SliceStack, options
 from sppm_pipeline.features.printing.printer_writer import Place, PrinterWriter, thumbnail
-from sppm_pipeline.method.families.layer_writer import EncodedLayers
+from sppm_pipeline.method.families.layer_writer import EncodedLayers, gray_of
 from sppm_pipeline.method.nouns.printer import Printer
 from sppm_pipeline.nouns.artifact import png_of
 from sppm_pipeline.services.arrays import U8
@@ -45,6 +45,21 @@ def write_archive(target: Path, entries: Iterable[tuple[str, bytes]]) -> None:
             entry = zipfile.ZipInfo(name, EPOCH)
             entry.create_system, entry.external_attr = 3, 0o644 << 16  # the same on every system
             archive.writestr(entry, data)
+
+
+def read_archive(target: Path, shape: tuple[int, int]) -> Callable[[int], U8]:
+    """A function that reads the k-th of the numbered pictures of this shape in an archive."""
+    with zipfile.ZipFile(target) as archive:
+        names = [name for name in archive.namelist() if name.endswith(".png") and "/" not in name]
+    names.sort(key=lambda name: (len(name), name))
+
+    def picture(k: int) -> U8:
+        with zipfile.ZipFile(target) as archive:
+            if archive.getinfo(names[k]).file_size > shape[0] * shape[1] + 2**20:
+                raise ValueError("the picture of a layer is larger than its pixels")
+            return gray_of(archive.read(names[k]), shape[0] * shape[1])
+
+    return picture
 
 
 def ini(values: Mapping[str, object]) -> bytes:
@@ -113,6 +128,10 @@ class WriteSl1(PrinterWriter):
         from sppm_pipeline.services.formats.png import encode_layer
 
         return encode_layer(place.filled(block), bits=8)
+
+    @classmethod
+    def pictures(cls, target: Path, printer: Printer, shape: tuple[int, int]) -> Callable[[int], U8]:
+        return read_archive(target, shape)
 
     def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
         def entries() -> Iterator[tuple[str, bytes]]:

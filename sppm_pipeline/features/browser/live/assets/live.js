@@ -69,7 +69,7 @@ async function startLive(bytes) {
   }
 
   function said() {
-    if (!porosity) return;
+    if (!porosity || !slider("readout")) return;
     const recorded = kernels ? head.tile_porosity[state.tile] ?? null : head.porosity;
     const asDesigned = Math.abs(view.level - design) < 1e-6 && state.pore === 1 && state.tunnel === 1 && !state.cells;
     const value = asDesigned && recorded !== null ? recorded : porosity.at(view.level);
@@ -182,7 +182,15 @@ async function startLive(bytes) {
     byId("live-note").hidden = false;
   });
 
+  const marks = [...live.getElementsByClassName("mark")];
   view.onframe = (ms) => {
+    marks.forEach((mark, i) => {
+      const largest = Math.max(...head.size), p = head.marks[i].slice(1).map((v, a) => (v - head.origin[a]) / largest);
+      const [x, y, behind] = view.screen(p);
+      mark.style.left = `${100 * x}%`;
+      mark.style.top = `${100 * y}%`;
+      mark.classList.toggle("behind", behind || state.cells !== null);
+    });
     Object.assign(canvas.dataset, { passes: String(view.passes), most: String(view.most), scale: String(view.scale), ms: String(Math.round(ms)) });
     if (live.hidden) {
       live.hidden = false;

@@ -6,7 +6,7 @@ void main() { gl_Position = vec4(vec2(gl_VertexID % 2, gl_VertexID / 2) * 4.0 - 
 // A color under the three lights of render/shading.py, which stand with the viewer; `open_` is how much of the sky is.
 const LIGHT = `
 uniform vec3 right, up, toward;
-const vec3 BONE = vec3(0.761, 0.672, 0.527), CUT = vec3(0.658, 0.202, 0.098);
+const vec3 BONE = vec3(0.761, 0.672, 0.527), CUT = vec3(0.658, 0.202, 0.098), OWN = vec3(0.604, 0.552, 0.456);
 vec3 lit(vec3 color, vec3 normal, float open_) {
   vec3 n = vec3(dot(normal, right), dot(normal, up), dot(normal, toward));
   float key = max(dot(n, vec3(-0.4603, 0.6554, 0.5989)), 0.0), fill = max(dot(n, vec3(0.8111, 0.1217, 0.5721)), 0.0);
@@ -102,7 +102,7 @@ void main() {
     }
   }
   float open_ = clamp(1.0 - hidden / 10.0, 0.05, 1.0);
-  color = vec4(lit(cap || outer ? CUT : BONE, normal, open_), 1.0);
+  color = vec4(lit(cap ? CUT : outer ? OWN : BONE, normal, open_), 1.0);
 }`;
 
 // The mean of the passes, coded as sRGB.

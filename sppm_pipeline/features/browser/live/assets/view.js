@@ -161,6 +161,14 @@ class View {
     this.timed(performance.now() - started, scale);
   }
 
+  // Where a point of the box is seen, as shares of the picture from its upper left, and whether that is the far side.
+  screen(p) {
+    const { width: w, height: h } = this.canvas, axes = this.camera.axes();
+    const pixel = Math.max(this.span[0] / (0.92 * w), this.span[1] / (0.92 * h)) / this.camera.zoom;
+    const [x, y] = [0, 1].map((a) => dot(axes[a], p) - dot(axes[a], this.center) - this.off[a] - this.camera.shift[a] * h * pixel);
+    return [0.5 + x / pixel / w, 0.5 - y / pixel / h, dot(axes[2], p) < dot(axes[2], this.center)];
+  }
+
   // What all programs are told of the camera; each pass looks elsewhere in the pixel (a Halton sequence).
   aim({ program, at: u }, w, h) {
     const gl = this.gl, axes = this.camera.axes();
