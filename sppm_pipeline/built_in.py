@@ -30,6 +30,6 @@ def stage_class(name: str) -> Any:
     """The class of a stage of the method or of a feature, by its name; `LookupError` if none of them has it."""
     for module in ("sppm_pipeline.method", *FEATURES):
         if place := import_module(module).sppm_stages().get(name):
-            found, _, cls = place.partition(":")
-            return getattr(import_module(found), cls)
+            found = vars(import_module(place)).values()
+            return next(cls for cls in found if isinstance(cls, type) and vars(cls).get("name") == name)
     raise LookupError(f"no built-in stage is called {name!r}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,6 +39,19 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
         def sppm_stages():
             return {"sample.fcc": "sppm_fcc.sampler:FaceCenteredCubic"}
     """
+
+
+def stages_in(package: str) -> Callable[[], dict[str, str]]:
+    """The hook `sppm_stages` of a built-in package: ``stages/sample_fcc.py`` defines the class of ``sample.fcc``."""
+
+    @hookimpl
+    def sppm_stages() -> dict[str, str]:
+        folder = os.path.join(os.path.dirname(str(sys.modules[package].__file__)), "stages")
+        files = [name.removesuffix(".py") for name in sorted(os.listdir(folder)) if name.endswith(".py")]
+        # modules alone: the class is found by its `name` when the stage is used
+        return {name.replace("_", ".", 1): f"{package}.stages.{name}" for name in files if name != "__init__"}
+
+    return sppm_stages
 
 
 @hookspec

@@ -32,12 +32,11 @@ def purpose_in_source(name: str, registry: Registry) -> str | None:
     place = registry.owner(name).stages[name]
     if not registry.owner(name).builtin or not isinstance(place, str):
         return None
-    module, _, wanted = place.partition(":")
-    spec = importlib.util.find_spec(module)
+    spec = importlib.util.find_spec(place)
     read = getattr(spec.loader, "get_source", None) if spec else None
-    source: str = (read(module) if read else None) or ""
+    source: str = (read(place) if read else None) or ""
     for node in ast.parse(source).body:
-        if isinstance(node, ast.ClassDef) and node.name == wanted:
+        if isinstance(node, ast.ClassDef) and f"name: ClassVar[str] = {name!r}" in map(ast.unparse, node.body):
             return _first_paragraph(ast.get_docstring(node))
     return None
 

@@ -265,11 +265,13 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
 
 
 def imported(plugin: Plugin, what: str, target: Any) -> Any:
-    """An object that a plugin supplies as ``"module:attribute"``, imported; anything else as it is."""
+    """An object that a plugin supplies as ``"module:attribute"``, imported, or a built-in ``"module"``; anything else
+    as it is.
+    """
     if not isinstance(target, str):
         return target
     module, colon, attribute = target.partition(":")
-    if not colon:
+    if not (colon or plugin.builtin):
         raise PluginError(f"{plugin}: {what} must be given as 'module:name', got {target!r}")
 
     def fault(message: str) -> PluginError:
@@ -277,7 +279,8 @@ def imported(plugin: Plugin, what: str, target: Any) -> Any:
 
     try:
         with guarded(f"the import of {what} of {plugin}", fault, builtin=plugin.builtin):
-            return getattr(importlib.import_module(module), attribute)
+            found = importlib.import_module(module)
+            return getattr(found, attribute) if colon else found
     except PluginError:
         raise
     except Exception as error:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import listed, nearest, shown
-from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported, incomplete_stages
+from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported, incomplete_stages, stage_classes
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.stage import FAMILIES, Stage, StageAlias
@@ -110,6 +110,8 @@ class Registry:
     def _load(self, name: str) -> type[Stage]:
         owner = self._owners[name]
         target = imported(owner, f"the stage {name!r}", owner.stages[name])
+        if inspect.ismodule(target):
+            target = next((cls for cls in stage_classes(target) if cls.name == name), target)
         problem = None
         if not inspect.isclass(target) or not issubclass(target, Stage):
             problem = "is no subclass of Stage"

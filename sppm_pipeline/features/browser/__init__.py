@@ -2,20 +2,10 @@
 
 from __future__ import annotations
 
-from sppm_pipeline.hookspecs import Command, hookimpl
+from sppm_pipeline.hookspecs import Command, hookimpl, stages_in
 from sppm_pipeline.nouns.viewers import Viewer
 
-STAGES = {
-    "write.picture": "WritePicture", "write.section": "WriteSection", "write.view": "WriteView",
-    "write.chart": "WriteChart", "write.bars": "WriteBars", "write.sheet": "WriteSheet", "write.table": "WriteTable",
-}  # fmt: skip
-"""Stage name -> class; the module is `stages`, with an underscore for the dot."""
-
-
-@hookimpl
-def sppm_stages() -> dict[str, str]:
-    """The stages of this feature."""
-    return {name: f"{__name__}.stages.{name.replace('.', '_')}:{cls}" for name, cls in STAGES.items()}
+sppm_stages = stages_in(__name__)
 
 
 @hookimpl

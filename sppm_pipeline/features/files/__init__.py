@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.hookspecs import hookimpl, stages_in
 
 if TYPE_CHECKING:
     from sppm_pipeline.stage import StageAlias
 
-STAGES = {
-    "read.mesh": "ReadMesh",
-    "read.voxels": "ReadVoxels",
-    "write.mesh": "WriteMesh",
-    "write.voxels": "WriteVoxels",
-}
-"""Stage name -> class; the module is `stages`, with an underscore for the dot."""
-
-
-@hookimpl
-def sppm_stages() -> dict[str, str]:
-    """The stages of this feature."""
-    return {name: f"{__name__}.stages.{name.replace('.', '_')}:{cls}" for name, cls in STAGES.items()}
+sppm_stages = stages_in(__name__)
 
 
 @hookimpl

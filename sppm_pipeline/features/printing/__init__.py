@@ -5,27 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sppm_pipeline.hookspecs import Command, hookimpl
+from sppm_pipeline.hookspecs import Command, hookimpl, stages_in
 from sppm_pipeline.nouns.report import ReportSection
 
-STAGES = {
-    "tune.orientation": "TuneOrientation",
-    "fix.drains": "FixDrains",
-    "fix.fill": "FixFill",
-    "check.print": "CheckPrint",
-    "check.sizes": "CheckSizes",
-    "slice.plate": "SlicePlate",
-    "write.sl1": "WriteSl1",
-    "write.goo": "WriteGoo",
-    "write.nanodlp": "WriteNanodlp",
-}
-"""Stage name -> class; the module is `stages`, with an underscore for the dot."""
-
-
-@hookimpl
-def sppm_stages() -> dict[str, str]:
-    """The stages of this feature."""
-    return {name: f"{__name__}.stages.{name.replace('.', '_')}:{cls}" for name, cls in STAGES.items()}
+sppm_stages = stages_in(__name__)
 
 
 @hookimpl

@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-from sppm_pipeline.hookspecs import Preset, hookimpl
+from sppm_pipeline.hookspecs import Preset, hookimpl, stages_in
 
-STAGES = {"field.sheet": "SheetStage"}
-"""Stage name -> class; the module is `stages`, with an underscore for the dot."""
-
-
-@hookimpl
-def sppm_stages() -> dict[str, str]:
-    """The stages of this feature."""
-    return {name: f"{__name__}.stages.{name.replace('.', '_')}:{cls}" for name, cls in STAGES.items()}
+sppm_stages = stages_in(__name__)
 
 
 @hookimpl
