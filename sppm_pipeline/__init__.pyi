@@ -45,6 +45,7 @@ from sppm_pipeline.errors import SppmError as SppmError
 from sppm_pipeline.features.design.atlas import find as find
 from sppm_pipeline.features.grading.grader import Grader as Grader
 from sppm_pipeline.hookspecs import hookimpl as hookimpl
+from sppm_pipeline.hookspecs import stages_in as stages_in
 from sppm_pipeline.method.families import options as options
 from sppm_pipeline.method.families.connector import Connector as Connector
 from sppm_pipeline.method.families.field_maker import FieldMaker as FieldMaker

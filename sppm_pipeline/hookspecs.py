@@ -32,8 +32,8 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
     """Supply stages.
 
     Called once, when the program needs to know the stages there are. Returns a mapping from the stage's name
-    (``family.name``) to its class, or to ``"module:Class"``, which is imported only when the stage is used.
-    An empty mapping means: no stages. Example::
+    (``family.name``) to its class, or to ``"module:Class"``, which is imported only when the stage is used;
+    `stages_in` makes it of the files of a folder. An empty mapping means: no stages. Example::
 
         @hookimpl
         def sppm_stages():
@@ -42,7 +42,17 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
 
 
 def stages_in(package: str) -> Callable[[], dict[str, str]]:
-    """The hook `sppm_stages` of a built-in package: ``stages/sample_fcc.py`` defines the class of ``sample.fcc``."""
+    """The hook `sppm_stages` of a package with a folder ``stages``, whose files bear the names of the stages.
+
+    ``stages/sample_fcc.py`` defines the class of ``sample.fcc``, and ``sppm_stages = stages_in(__name__)`` finds it.
+
+    Examples
+    --------
+    >>> import sppm_pipeline as sppm
+    >>> from sppm_pipeline.features import walls
+    >>> sppm.stages_in(walls.__name__)()
+    {'field.walls': 'sppm_pipeline.features.walls.stages.field_walls'}
+    """
 
     @hookimpl
     def sppm_stages() -> dict[str, str]:

@@ -264,14 +264,12 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 
 
-def imported(plugin: Plugin, what: str, target: Any) -> Any:
-    """An object that a plugin supplies as ``"module:attribute"``, imported, or a built-in ``"module"``; anything else
-    as it is.
-    """
+def imported(plugin: Plugin, what: str, target: Any, *, whole: bool = False) -> Any:
+    """An object that a plugin supplies as ``"module:attribute"``, or if `whole` a module, imported; others as is."""
     if not isinstance(target, str):
         return target
     module, colon, attribute = target.partition(":")
-    if not (colon or plugin.builtin):
+    if not (colon or whole):
         raise PluginError(f"{plugin}: {what} must be given as 'module:name', got {target!r}")
 
     def fault(message: str) -> PluginError:

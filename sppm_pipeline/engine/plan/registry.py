@@ -109,9 +109,12 @@ class Registry:
 
     def _load(self, name: str) -> type[Stage]:
         owner = self._owners[name]
-        target = imported(owner, f"the stage {name!r}", owner.stages[name])
+        target = imported(owner, f"the stage {name!r}", owner.stages[name], whole=True)
         if inspect.ismodule(target):
-            target = next((cls for cls in stage_classes(target) if cls.name == name), target)
+            module, target = target, next((cls for cls in stage_classes(target) if cls.name == name), None)
+            if target is None:
+                hint = "say which class it is, as 'module:name'"
+                raise PluginError(f"{owner}: {module.__name__} has no stage of the name {name!r}", hint=hint)
         problem = None
         if not inspect.isclass(target) or not issubclass(target, Stage):
             problem = "is no subclass of Stage"
