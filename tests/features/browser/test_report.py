@@ -21,9 +21,10 @@ from sppm_pipeline.features.browser.live.page import MAGIC, encode_view, head_of
 from sppm_pipeline.features.browser.live.views import clustered, view_of
 from sppm_pipeline.features.browser.report.boxes import boxes, chart_svg, duration, line_chart, porosities, ticks
 from sppm_pipeline.features.browser.report.build import report_html, wiring_svg
-from sppm_pipeline.features.browser.report.command import fitted
+from sppm_pipeline.features.browser.report.command import fitted, live_view
 from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of, stored_layers, view_of_layers
 from sppm_pipeline.features.browser.report.records import read_record
+from sppm_pipeline.features.browser.report.sweeps import sweep_context
 from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
@@ -196,7 +197,7 @@ def open_run_part(folder):
 def test_the_view_is_taken_from_the_run_itself(tmp_path, monkeypatch, capsys):
     """Without a cache, and with stages that no report would run again."""
     (tmp_path / "cell.yaml").write_text(CELL)
-    monkeypatch.setattr("sppm_pipeline.features.browser.report.command.QUICK", -1.0)
+    monkeypatch.setitem(live_view.__kwdefaults__, "quick", -1.0)
     words = [str(tmp_path / "cell.yaml"), "-o", str(tmp_path / "run"), "--no-cache", "-q"]
     assert main(["run", *words, "--report"]) == 0
     assert 'id="data-view"' in (tmp_path / "run" / "report.html").read_text()
@@ -350,9 +351,39 @@ def test_ten_thousand_rows_fit(tmp_path):
     assert html.count("<tr>") == 201
     assert "no draw was &lt;accepted&gt;" in html
     assert '<a href="runs/00000/report.html">' in html
-    assert html.count('<svg class="chart') == 6
+    head = json.loads(re.search(r'id="head-rows">(.*?)</script>', html)[1])
+    assert len(head["axes"]) == 13
+    assert head["names"][head["first"][0]] == "omega"
     packed = re.search(r'id="data-rows">([^<]+)<', html)[1]
     assert len(json.loads(gzip.decompress(base64.b64decode(packed)))) == count
+
+
+def test_columns_of_a_sweep_have_words_units_and_no_tuned_target(tmp_path):
+    rows = [
+        {"run": f"{i:04}", "p": 0.5 + 0.1 * i, "tune.porosity.porosity": 0.5001 + 0.1 * i, "h.voxel.E.1": 1.0 / (i + 1),
+         "check.print.largest_cup_mm2": i, "flow.k": 3.0 * i}
+        for i in range(4)
+    ]  # fmt: skip
+    runs = [{"run": row["run"], "params": {"p": row["p"]}, "status": "done", "error": None} for row in rows]
+    table = {
+        "id": "t",
+        "stage": "write.table",
+        "options": {"columns": ["run", "flow.k"], "headings": ["run", "k"]},
+    }
+    record = {"runs": runs, "stages": [table], "params": {"p": 1, "q": "a b"}, "seed": 4, "file": "x/rows.yaml"}
+    (tmp_path / "sweep.json").write_text(json.dumps(rows), encoding="utf-8")
+    columns = [{"titles": "flow.k", "schema:unitText": "mm2"}]
+    (tmp_path / "sweep.csv-metadata.json").write_text(json.dumps({"tableSchema": {"columns": columns}}))
+    head = json.loads(sweep_context(tmp_path, record, {"0002": b"ab", "0003": b"cde"})["head"])
+    assert head["names"][:3] == ["run", "p", "flow.k"]
+    labels = dict(zip(head["names"], zip(head["words"], head["units"], strict=True), strict=True))
+    assert labels["flow.k"] == ("k", "mm2")
+    assert labels["check.print.largest_cup_mm2"] == ("largest cup", "mm²")
+    assert labels["h.voxel.E.1"][0] == "voxel E 1"
+    assert [head["names"][n] for n in head["axes"]] == ["p", "flow.k", "h.voxel.E.1", "check.print.largest_cup_mm2"]
+    assert [head["names"][n] for n in head["first"]] == ["p", "flow.k"]
+    assert head["views"] == [["0002", 0, 2], ["0003", 2, 5]]
+    assert (head["base"], head["file"]) == ({"q": "a b"}, "rows.yaml")
 
 
 def arrays_of(data):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.features.browser.live.page import ASSETS, head_of, live_page
 from sppm_pipeline.features.browser.live.views import view_of
@@ -306,13 +307,82 @@ def test_rows_of_a_sweep_keep_their_words_when_they_are_sorted(browser, tmp_path
     page = browser.new_page()
     page.goto(written(tmp_path).as_uri())
     until(page, "!document.getElementById('rows-controls').hidden", "the table has no script")
-    shown = "() => [...document.querySelectorAll('#rows tbody tr')].map(r => [...r.cells].map(c => c.textContent))"
+    shown = (
+        "() => [...document.querySelectorAll('#rows tbody tr')].map(r => [...r.cells].slice(1).map(c => c.textContent))"
+    )
     plain = page.evaluate(shown)
     assert [row[-1] for row in plain[:3]] == ["6.56314e-05", "0.25", "-1.23457e+06"]
-    page.click("#rows th >> nth=0")
+    page.click("#rows th >> nth=1")
     assert page.evaluate(shown) == plain
-    page.click("#rows th >> nth=0")
+    page.click("#rows th >> nth=1")
     assert page.evaluate(shown) == plain[::-1]
+    page.close()
+
+
+SWEEP = """
+sppm: 1
+name: sizes
+params: {radius: 0.14, other: it's}
+pipeline:
+  - {stage: sample.dart_throwing, total: 12, share: 0.55}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: "${radius}", tunnel_radius: 0.05}
+  - {stage: homogenize.voxel, resolution: 8}
+  - {stage: write.picture, from: field.gaussian, path: cell.png, image_size: [80, 60], resolution: 8, annotate: false}
+sweep:
+  radius: [0.12, 0.14, 0.16]
+  seed: [1, 2]
+"""
+
+
+def test_a_point_of_a_sweep_leads_to_its_run(browser, tmp_path, capsys):
+    (tmp_path / "sizes.yaml").write_text(SWEEP)
+    assert main(["run", str(tmp_path / "sizes.yaml"), "-o", str(tmp_path / "run"), "-q", "--report"]) == 0
+    capsys.readouterr()
+    runs = json.loads((tmp_path / "run" / "sweep.json").read_text())
+    page = browser.new_page(viewport={"width": WIDTH, "height": 800})
+    heard = []
+    page.on("console", lambda message: heard.append(message.text))
+    page.on("pageerror", lambda error: heard.append(str(error)))
+    page.goto((tmp_path / "run" / "report.html").as_uri())
+    until(page, "!document.getElementById('explore').hidden", "no scatter")
+
+    page.select_option("#axis-x", label="radius")
+    page.select_option("#axis-y", label="E relative")
+    page.select_option("#better-x", "1")
+    page.select_option("#better-y", "1")
+    data = page.evaluate("({...document.getElementById('scatter').dataset})")
+    assert data["points"] == "6"
+    pairs = {row["run"]: (row["radius"], row["homogenize.voxel.E_relative"]) for row in runs}
+    beaten = {
+        a for a in pairs for b in pairs if a != b and all(p <= q for p, q in zip(pairs[a], pairs[b], strict=True))
+    }
+    assert set(data["pareto"].split()) == set(pairs) - beaten
+    page.focus("#scatter")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    run = page.evaluate("document.getElementById('scatter').dataset.picked")
+    row = next(row for row in runs if row["run"] == run)
+    line = f"sppm run sizes.yaml -p other='it'\\''s' -p radius={row['radius']} --seed {row['seed']} -o picked/{run}"
+    assert page.inner_text("#point-command") == page.inner_text("#short-rows") == line
+    assert page.is_visible("#point-picture")
+    until(page, "document.getElementById('live-canvas').dataset.passes", "no live cell")
+    page.fill("#filter-low", "0.13")
+    page.click("#filter-add")
+    assert page.evaluate("document.getElementById('scatter').dataset.points") == "4"
+    assert page.locator("#rows tbody tr").count() == 4
+    page.click("#filters button")
+    assert page.locator("#rows tbody tr").count() == 6
+    page.locator("#scatter").scroll_into_view_if_needed()
+    box = page.locator("#scatter").bounding_box()
+    page.mouse.move(box["x"] + 40, box["y"] + 5)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + box["height"] - 5, steps=3)
+    page.mouse.up()
+    assert page.locator("#filters button").count() == 2
+    assert page.locator("#rows tbody tr").count() < 6
+    assert page.evaluate("document.documentElement.scrollWidth") <= WIDTH
+    assert heard == []
     page.close()
 
 

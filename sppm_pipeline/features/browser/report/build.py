@@ -8,6 +8,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
@@ -155,14 +156,15 @@ LONGEST_TEXT = 200_000
 
 def report_html(
     path: Path, record: Mapping[str, Any], *, view: bytes | None = None, note: str = "", max_bytes: int = 5_000_000,
-    threads: int = 1, plugins: Plugins | None = None,
+    threads: int = 1, plugins: Plugins | None = None, views: Mapping[str, bytes] = MappingProxyType({}),
 ) -> str:  # fmt: skip
     """The report of a run, the same text for the same directory; `InputError` if the record is not as this program
     writes them.
 
     Files whose digests are wrong are named in red. `view` is a view file, as ``write.view`` writes it, `note` says why
     there is none, and what to do. The view comes first; layers get what it and the pictures leave of `max_bytes`.
-    Results and sections are shown of the stages of `plugins`, the built-in ones if omitted.
+    Results and sections are shown of the stages of `plugins`, the built-in ones if omitted. `views` are view files of
+    runs of a sweep.
     """
     raw = max_bytes * 3 // 4  # base64 makes 4 characters of 3 bytes
     if view is not None and len(view) > room_of_view(max_bytes):
@@ -170,7 +172,7 @@ def report_html(
     try:
         # a report may be mailed: what follows sees no folder of this disk
         record = without_folders(record)
-        context = _context(path, record, view, raw, threads, plugins or load_plugins(distributions=False))
+        context = _context(path, record, view, raw, threads, plugins or load_plugins(distributions=False), views)
     except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
         raise InputError(
             f"the record in {str(path)!r} is not as this program writes them: {described(error)}",
@@ -180,7 +182,13 @@ def report_html(
 
 
 def _context(
-    path: Path, record: Mapping[str, Any], view: bytes | None, raw: int, threads: int, plugins: Plugins
+    path: Path,
+    record: Mapping[str, Any],
+    view: bytes | None,
+    raw: int,
+    threads: int,
+    plugins: Plugins,
+    views: Mapping[str, bytes],
 ) -> dict[str, Any]:
     stages: list[Mapping[str, Any]] = list(record["stages"])
     outputs = outputs_of(path, stages)
@@ -212,7 +220,10 @@ def _context(
         data["layers"] = base64.b64encode(b"".join(layers.files)).decode()
     if view is not None:
         data["view"] = base64.b64encode(view).decode()
-    sweep = sweep_context(path, record) if "runs" in record else None
+    sweep = sweep_context(path, record, views) if "runs" in record else None
+    if views:
+        data["views"] = base64.b64encode(b"".join(views.values())).decode()
+        view_head = head_of(next(iter(views.values())))
     if sweep is not None and sweep["packed"]:
         data["rows"] = sweep["packed"]
     return {
@@ -242,7 +253,7 @@ def _rendered(context: Mapping[str, Any]) -> str:
     pages.filters["cut"] = cut
     pages.filters["value"] = shown
     pages.filters["duration"] = duration
-    wanted = {"layers.js": context["layers"] is not None, "table.js": context["sweep"] is not None}
+    wanted = {"layers.js": context["layers"] is not None, "sweep.js": context["sweep"] is not None}
     live = LIVE_SCRIPTS if context["view"] is not None else ()
     own = [HERE / "assets" / name for name, there in wanted.items() if there]
     script = joined_script(ASSETS / "base.js", *own, *(ASSETS / name for name in live))

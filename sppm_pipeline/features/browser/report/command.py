@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -12,12 +13,16 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.cache.session import CacheSession
 from sppm_pipeline.engine.config.names import REPORT
 from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.memory import run_in_memory
+from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS
 from sppm_pipeline.errors import ConfigError, SppmError
 from sppm_pipeline.features.browser.live.page import SUFFIX, head_of, room_of_view, wanted
 from sppm_pipeline.features.browser.live.views import SAMPLES, view_of
+from sppm_pipeline.features.browser.report.layers import outputs_of, stored_layers, view_of_layers
+from sppm_pipeline.features.browser.report.records import read_record
 from sppm_pipeline.nouns.artifact import Artifact, Viewable
 from sppm_pipeline.nouns.report import Report
 from sppm_pipeline.nouns.viewers import viewer_of
@@ -29,6 +34,9 @@ if TYPE_CHECKING:
 QUICK = 20.0
 """Seconds; stages that took less in the run are repeated for a report, slower ones only with `--remake`."""
 
+MAX_VIEWS, ROW_BYTES = 60, 40_000
+"""Runs of a sweep that are shown live, as each takes about 0.1 s, and bytes that each may take."""
+
 MIN_SAMPLES = 30_000
 """Samples, or a number of triangles in proportion, below which a view shows nothing."""
 
@@ -38,12 +46,13 @@ REMAKE = "`sppm report --remake` runs again what it needs, or add `- {stage: wri
 def live_view(
     path: Path, record: Mapping[str, Any], outputs: Sequence[Mapping[str, Any]], request: RunRequest, *,
     store: Store | None, threads: int, remake: bool = False, samples: int = SAMPLES, most: int = 2**40,
-    kept: Mapping[str, Any] = MappingProxyType({}),
+    quick: float = QUICK, kept: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[bytes | None, str]:  # fmt: skip
     """The view file of a run, of at most `most` bytes, or None and why there is none; with what it leaves out.
 
     `outputs` are those of the run that lie in its directory, `request` says which plugins may be loaded, `store` is
-    the cache; with `remake` stages may run that took long; `samples` as for `view_of`; `kept` are results of the run.
+    the cache; stages that took `quick` seconds run again only with `remake`; `samples` as for `view_of`; `kept` are
+    results of the run.
     """
     note = ""
     for output in reversed(outputs):
@@ -66,7 +75,7 @@ def live_view(
         step = _last_shown(plan, {str(stage["id"]) for stage in record["stages"]})
         if step is None:
             return None, note
-        if not remake and (lacking := _lacking(plan, step, record, store)):
+        if not remake and (lacking := _lacking(plan, step, record, store, quick)):
             return None, note or f"There is no live view: {lacking}; {REMAKE}."
         memory = run_in_memory(plan, threads=threads, until=step.id, store=store)
         return fitted(memory.result(step.id), samples, most, threads)
@@ -83,6 +92,30 @@ def fitted(what: Artifact, samples: int, most: int, threads: int) -> tuple[bytes
         samples = int(0.9 * samples * most / len(data))
         data = view_of(what, samples=samples, threads=threads)
     return (data, note) if len(data) <= most else (None, f"The live view takes {wanted(len(data))}.")
+
+
+def views_of_rows(
+    path: Path, record: Mapping[str, Any], request: RunRequest, store: Store | None, threads: int, most: int
+) -> dict[str, bytes]:
+    """Small view files of runs of a sweep, evenly spread if there are many, of at most `most` bytes together."""
+    runs = [str(run["run"]) for run in record["runs"] if run["status"] == "done"]
+    found: dict[str, bytes] = {}
+    for run in runs[:: -(-len(runs) // MAX_VIEWS) or 1]:
+        folder = path / SWEEP_RUNS / run
+        try:
+            own = read_record(folder)
+        except SppmError:
+            continue
+        again = replace(request, file=str(folder / RECORD))
+        outputs = outputs_of(folder, own["stages"])
+        view, _ = live_view(
+            folder, own, outputs, again, store=store, threads=threads, quick=1.0, samples=60_000,
+            most=min(ROW_BYTES, most),
+        )  # fmt: skip
+        if view is not None and (not found or head_of(view)["kind"] == head_of(next(iter(found.values())))["kind"]):
+            found[run] = view
+            most -= len(view)
+    return found
 
 
 def shown_stages(plan: Plan) -> list[str]:
@@ -105,7 +138,7 @@ def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
     return ran_steps[number] if best else None
 
 
-def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | None) -> str:
+def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | None, quick: float) -> str:
     """Stages that would have to run again and took long; empty if all is cached, or was quick."""
     seconds = {str(stage["id"]): float(stage["seconds"]) for stage in record["stages"] if not stage.get("cached")}
     session = (
@@ -127,7 +160,7 @@ def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | N
         passed_on = entry is not None and not entry.has_value and kept[id_]
         if not kept[id_] or passed_on:
             rest += [source for source in steps[id_].inputs.values() if source is not None]
-    long = [id_ for id_ in steps if id_ in needed and not kept[id_] and seconds.get(id_, QUICK) >= QUICK]
+    long = [id_ for id_ in steps if id_ in needed and not kept[id_] and seconds.get(id_, quick) >= quick]
     return f"what {', '.join(long)} made is not in the cache" if long else ""
 
 
@@ -190,17 +223,12 @@ def of_run(
     is loaded from plugins that are installed or named in `args` (`add_cache`, `add_plugins`); from those that the
     configuration names only with `plugins`, which loads them to run stages again.
     """
-    from dataclasses import replace
-
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.cli.arguments import cache_of
     from sppm_pipeline.engine.files import write_whole
     from sppm_pipeline.engine.plan.plugins import allowed_plugins
-    from sppm_pipeline.engine.run.outputs import RECORD
     from sppm_pipeline.engine.run.runner import available_threads
     from sppm_pipeline.features.browser.report.build import report_html
-    from sppm_pipeline.features.browser.report.layers import outputs_of
-    from sppm_pipeline.features.browser.report.records import read_record
 
     threads, record = available_threads(), read_record(path)
     request = RunRequest(
@@ -208,30 +236,27 @@ def of_run(
         allowed=allowed_plugins(args.allow_plugins),
     )  # fmt: skip
     found: tuple[bytes | None, str] = (None, "")
+    rows: dict[str, bytes] = {}
     if view:
         cache = cache_of(args)
         store = open_store(cache) if cache is not None else None
         outputs = outputs_of(path, record.get("stages", ()))
         again = request if plugins else replace(request, plugins=(), distributions=False)
         found = live_view(
-            path,
-            record,
-            outputs,
-            again,
-            store=store,
-            threads=threads,
-            remake=remake,
-            most=room_of_view(most),
+            path, record, outputs, again, store=store, threads=threads, remake=remake, most=room_of_view(most),
             kept=kept,
-        )
+        )  # fmt: skip
+        if "runs" in record:
+            rows = views_of_rows(path, record, again, store, threads, most // 4)
     known = _plugins_of(request, plugins)
+    stored = None
     if view and found[0] is None and "runs" not in record:
-        from sppm_pipeline.engine.plan.registry import Registry
-        from sppm_pipeline.features.browser.report.layers import stored_layers, view_of_layers
-
-        if (stored := stored_layers(path, record["stages"], Registry(known))) is not None:
-            found = view_of_layers(stored[1]), f"{found[1]} What is shown is made of the layers, at reduced detail."
-    text = report_html(path, record, view=found[0], note=found[1], max_bytes=most, threads=threads, plugins=known)
+        stored = stored_layers(path, record["stages"], Registry(known))
+    if stored is not None:
+        found = view_of_layers(stored[1]), f"{found[1]} What is shown is made of the layers, at reduced detail."
+    text = report_html(
+        path, record, view=found[0], note=found[1], max_bytes=most, threads=threads, plugins=known, views=rows
+    )
     write_whole(target, text, durable=False)
 
 
