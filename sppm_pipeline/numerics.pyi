@@ -43,6 +43,8 @@ from sppm_pipeline.services.mesh.measures import edge_counts as _mesh_edges
 from sppm_pipeline.services.mesh.measures import measure_surface as _mesh_measures
 from sppm_pipeline.services.mesh.measures import surface_area as _mesh_area
 from sppm_pipeline.services.mesh.measures import volume as _mesh_volume
+from sppm_pipeline.services.mesh.rotation import rotated as rotated
+from sppm_pipeline.services.mesh.rotation import rotation as rotation
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy as Hierarchy
 from sppm_pipeline.services.multigrid.hierarchy import Level as Level
 from sppm_pipeline.services.multigrid.hierarchy import Transfer as Transfer

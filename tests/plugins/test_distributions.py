@@ -32,6 +32,7 @@ STAGES = {
     "pymeshlab": {"mesh.decimate", "mesh.remesh", "mesh.repair", "mesh.smooth"},
     "tetwild": {"mesh.tetwild"},
     "lib3mf": {"write.3mf_slices"},
+    "cad": {"read.cad"},
     "dask": set(),
 }
 LICENSES = {"sppm-pymeshlab": ("GPL-3.0-or-later", "GNU GENERAL PUBLIC LICENSE")}

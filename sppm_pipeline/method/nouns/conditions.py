@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,8 +18,8 @@ from sppm_pipeline.services.arrays import F64
 AXES = "xyz"
 FORMS = (
     "'plane z at 0 mm' (or 'at low', 'at high': the ends of the part), 'box 0 0 0 to 10 10 5 mm', 'sphere 0 0 5 radius "
-    "3 mm', 'cylinder z at 12 0 radius 4 mm' (and 'from 0 to 10'), 'group NAME' of a mesh, 'near' the other mesh, or "
-    "'surface', all of it"
+    "3 mm', 'cylinder z at 12 0 radius 4 mm' (and 'from 0 to 10'), 'group NAME' of a mesh, '#12', 'holes' or 'color "
+    "red' of a CAD file, 'near' the other mesh, or 'surface', all of it"
 )
 """What a region may be, for messages."""
 
@@ -145,7 +146,9 @@ def region_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = No
     A `ConfigError` says what was expected instead.
     """
     words = _Words(text, text.split())
-    kind = words.take("plane", "box", "sphere", "cylinder", "group", "near", "surface")
+    # of a CAD file, `on #12`, `on holes d<6mm`, `on face 3` and `on color red` are groups, too
+    named = words.words and re.match(r"#\d+$|holes?$|face$|color$", words.words[0])
+    kind = "group" if named else words.take("plane", "box", "sphere", "cylinder", "group", "near", "surface")
     axis = AXES.index(words.take(*AXES)) if kind in ("plane", "cylinder") else 0
     numbers: list[float] = []
     triangles = np.zeros((0, 3, 3))
@@ -168,13 +171,9 @@ def region_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = No
         name = " ".join(words.words)
         words.words = []
         if part is not None:
-            chosen = [part.faces[first:last] for group, first, last in part.groups if group == name]
-            if not chosen:
-                known = ", ".join(sorted({group for group, _, _ in part.groups})[:20])
-                raise ConfigError(
-                    f"the mesh {part.name!r} has no group {name[:60]!r}", hint=f"it has {known or 'no groups at all'}"
-                )
-            triangles = part.vertices[np.concatenate(chosen)]
+            from sppm_pipeline.method.nouns.named_faces import named_triangles
+
+            triangles = part.vertices[part.faces[named_triangles(part, (name,))]]
     elif kind == "near" and part is not None:
         if near is None:
             raise ConfigError(

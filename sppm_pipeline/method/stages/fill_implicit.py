@@ -72,7 +72,7 @@ class ImplicitFill(Stage):
     skin_groups: tuple[str, ...] = option(
         (),
         help="skin on these groups of the mesh file: objects, groups and materials of OBJ, objects of 3MF, solids of "
-        "an ASCII STL",
+        "an ASCII STL, faces of a CAD file such as 'holes', 'cylinder d<6mm' or 'color red'",
     )
     skin_triangles: Path | None = options.read_path(
         None, note="numbers of the triangles that have the skin, counted from 0 in the order of the mesh file"
@@ -162,6 +162,7 @@ class ImplicitFill(Stage):
 
     def _chosen(self, context: Context, domain: SurfaceMesh, near: SurfaceMesh | None) -> I32:
         """Numbers of the triangles that have the skin."""
+        from sppm_pipeline.method.nouns.named_faces import named_triangles
         from sppm_pipeline.method.part.chosen_faces import faces_toward, faces_within
         from sppm_pipeline.services.mesh.measures import surface_area
 
@@ -171,17 +172,7 @@ class ImplicitFill(Stage):
         if self.skin_within is not None and near is not None:
             others = near.vertices[near.faces]
             chosen |= faces_within(domain.vertices, domain.faces, others, self.skin_within.mm())
-        known = dict.fromkeys(name for name, _, _ in domain.groups)
-        for wanted in self.skin_groups:
-            if wanted not in known:
-                listed = ", ".join(list(known)[:20]) + (", ..." if len(known) > 20 else "")
-                raise InputError(
-                    f"{domain.name} has no group {wanted!r}",
-                    hint=f"it has {listed}" if known else "OBJ, 3MF and ASCII STL files name groups; this one has none",
-                )
-        for name, first, last in domain.groups:
-            if name in self.skin_groups:
-                chosen[first:last] = True
+        chosen |= named_triangles(domain, self.skin_groups)
         if self.skin_triangles is not None:
             chosen[listed_triangles(self.skin_triangles, len(chosen))] = True
         if not chosen.any():

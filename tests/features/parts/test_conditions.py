@@ -85,7 +85,7 @@ def test_names_of_groups_may_have_any_words(text, free):
     ],
 )
 def test_what_is_misspelt_is_refused(read, words):
-    with pytest.raises(ConfigError, match=re.escape(words)):
+    with pytest.raises((ConfigError, InputError), match=re.escape(words)):
         read()
 
 

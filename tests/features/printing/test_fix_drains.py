@@ -1,12 +1,13 @@
 """``fix.drains``: shells drain after it, and what no hole opens is said."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.printing.numerics.routes import find_traps
 from sppm_pipeline.features.printing.stages.fix_drains import FixDrains
 from sppm_pipeline.method.connectivity.components import find_components
@@ -167,6 +168,16 @@ def test_what_is_to_be_kept_clear_is(wang_tiling):
     assert all(drain[5] + drain[6] + 0.8 <= 9.0 for drain in made.drains)
     with pytest.raises(ConfigError, match="none is wired"):
         stage.run(context, part, part.domain)
+    # the same by a name of faces: none near the top, whose triangles have a group
+    faces = part.domain.faces
+    top = np.flatnonzero((part.domain.vertices[faces, 2] > part.domain.upper[2] - 1e-6).all(1))
+    groups = tuple((f"#{n} plane name=lid", int(n), int(n) + 1) for n in top)
+    named = replace(part, domain=replace(part.domain, groups=groups))
+    made, _ = fixed(named, diameter=Length(0.8), toward=(0.0, 0.0, 1.0), keep_out_faces=("name lid",))
+    assert made.drains
+    assert all(drain[5] + drain[6] + 0.8 <= part.domain.upper[2] + 1e-6 for drain in made.drains)
+    with pytest.raises(InputError, match="no group 'holes'"):
+        fixed(named, keep_out_faces=("holes",))
     with pytest.raises(ConfigError, match="no direction"):
         FixDrains(toward=(0.0, 0.0, 0.0)).check_options()
 

@@ -65,9 +65,14 @@ def format_of_name(name: str) -> str:
     if extension == "gltf":
         raise InputError(f"{name}: glTF spread over several files is not read", hint="export it as GLB, in one file")
     if extension in CAD:
+        by_plugin = ""
+        if extension in CAD[:4]:
+            by_plugin = (
+                "`read.cad` of the plugin sppm-cad reads it, with its faces (pip install 'sppm-pipeline[cad]'); or "
+            )
         raise InputError(
             f"{name}: a .{extension} file holds a CAD model, not triangles",
-            hint="export it from the CAD program as STL or 3MF",
+            hint=f"{by_plugin}export it from the CAD program as STL or 3MF",
         )
     if extension not in FORMATS and extension not in others():
         known = ", ".join(f".{known}" for known in FORMATS)

@@ -22,9 +22,9 @@ class AddLoadCase(Stage):
 
     Conditions are written as ``WHAT on REGION``: ``"0 0 -200 N on plane z at high"``. Regions select the surface of the
     part within a voxel of them: ``plane z at 0 mm`` (or ``at low``, ``at high``), ``box 0 0 0 to 10 10 5 mm``, ``sphere
-    0 0 5 radius 3 mm``, ``cylinder z at 12 0 radius 4 mm`` (and ``from 0 to 10``), ``group NAME`` of the mesh, ``near``
-    for the surface of a second mesh, ``surface`` for all of it. Forces are totals, spread by area. A case without `fix`
-    and `symmetry` is held as the one before.
+    0 0 5 radius 3 mm``, ``cylinder z at 12 0 radius 4 mm`` (and ``from 0 to 10``), ``group NAME`` of the mesh, ``#12``,
+    ``holes d<6mm`` or ``color red`` of a CAD file, ``near`` for the surface of a second mesh, ``surface`` for all of
+    it. Forces are totals, spread by area. A case without `fix` and `symmetry` is held as the one before.
 
     Regions that touch nothing, rigid motions that nothing prevents, and conditions that contradict each other are
     refused before anything is solved.

@@ -87,6 +87,10 @@ class FixDrains(Stage):
     keep_out_within: Length | None = option(
         None, help="distance of drains from the mesh at `keep_out`", unit="mm", minimum=0, maximum=1e3
     )
+    keep_out_faces: tuple[str, ...] = option(
+        (), help="groups of the part, or faces of a CAD file such as 'color red', that drains keep this far from, too; "
+        "`clear` if no distance is given",
+    )  # fmt: skip
     toward: tuple[float, float, float] | None = option(
         None, help="direction [x, y, z] in which holes should open, such as that of a side that is not seen",
         minimum=-1e6, maximum=1e6,
@@ -108,6 +112,7 @@ class FixDrains(Stage):
     def run(self, context: Context, part: Part, keep_out: SurfaceMesh | None = None) -> Part:
         """Drill, look again, and drill the next."""
         from sppm_pipeline.method.connectivity.components import find_components
+        from sppm_pipeline.method.nouns.named_faces import named_triangles
         from sppm_pipeline.method.part.capsules import depths_in_capsules
         from sppm_pipeline.method.part.inside import inside_layers, prepare_inside
 
@@ -120,15 +125,23 @@ class FixDrains(Stage):
                 hint="give a larger `diameter`; resin wants a millimeter or more",
             )
         clear = 2 * radius if self.clear is None else self.clear.mm()
+        keep_out_mm = clear if self.keep_out_within is None else self.keep_out_within.mm()
         zone = None
+        if self.keep_out_faces:
+            zone = part.domain.vertices[part.domain.faces[named_triangles(part.domain, self.keep_out_faces)]]
+        # an open port takes the nearest mesh, which is mostly the part itself
+        if keep_out is not None and np.array_equal(keep_out.vertices, part.domain.vertices):
+            keep_out = None
         if self.keep_out_within is not None:
-            # an open port takes the nearest mesh, which is mostly the part itself
-            if keep_out is None or np.array_equal(keep_out.vertices, part.domain.vertices):
+            if keep_out is None and zone is None:
                 raise ConfigError(
                     "`keep_out_within` is a distance from a mesh, and none is wired to the port `keep_out`",
-                    hint="read it by a stage with an id, and say from: {part: PART, keep_out: ID}",
+                    hint="read it by a stage with an id, and say from: {part: PART, keep_out: ID}; or give "
+                    "`keep_out_faces`",
                 )
-            zone = keep_out.vertices[keep_out.faces], self.keep_out_within.mm()
+            if keep_out is not None:
+                others = keep_out.vertices[keep_out.faces]
+                zone = others if zone is None else np.concatenate([zone, others])
         voxel = world.spacing[0] ** 3
         before = traps = find_traps(solid)
         smallest = SMALLEST_SHARE * float(before.sizes.sum()) * voxel if self.smallest is None else self.smallest
@@ -136,7 +149,7 @@ class FixDrains(Stage):
         given_up: set[tuple[int, int, int]] = set()
         places = -1
         if (before.sizes * voxel >= smallest).any():
-            found = drain_candidates(part.domain, radius, clear, zone)
+            found = drain_candidates(part.domain, radius, clear, None if zone is None else (zone, keep_out_mm))
             places = len(found.points)
             domain = prepare_inside(part.domain.vertices, part.domain.faces, world, part.method)
             depths = signed_depths(inside_layers(domain, 0, len(solid)).mask, world.spacing[0])
