@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
+from sppm_pipeline import ConfigError, DesignError, InputError, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import VoxelBody, applied, exposed_faces, held_solid, mesh_body
 from sppm_pipeline.method.nouns.conditions import LoadCase, condition_of, held_of, region_of
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
