@@ -70,6 +70,10 @@ def comparisons(record: Mapping[str, Any]) -> Iterator[Comparison]:
             border = stages.get(made.body, {}).get("options", {}).get("border", "cut")
             limit = ISLANDS if border == "cut" else BORDER_ISLANDS
             yield Comparison(f"solid removed as islands ({made.stage['id']})", share, 0.0, limit)
+    for mesh in meshes:
+        # layers hold one piece by the way they are made: all but the largest component is cleared
+        if (pieces := _number(mesh.stage["summary"], "pieces")) is not None:
+            yield Comparison(f"pieces of the solid ({mesh.stage['id']})", pieces, 1.0, 0.0)
     for stack in layers:
         if (porosities := _porosities(stack, stages)) is not None:
             yield Comparison(f"porosity of the layers ({stack.stage['id']})", *porosities)

@@ -155,7 +155,9 @@ class ManifoldSdf(Stage):
         if self.islands == "keep":
             return made
         kept = largest_body(*made, shells)
-        removed = 1 - float(find_shells(*kept).volumes.sum() / shells.volumes.sum())
+        alone = find_shells(*kept)
+        context.report(pieces=alone.bodies)
+        removed = 1 - float(alone.volumes.sum() / shells.volumes.sum())
         report_removal(context, removed, self.islands)
         return kept
 

@@ -33,9 +33,11 @@ from sppm_pipeline.features.surface.field_surface import (
     MIN_VOXELS,
     FieldSurface,
     expected_voxels,
+    on_torus,
     voxels_along_edge,
 )
 from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceWindow
+from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells
 from sppm_pipeline.method.connectivity.removal import removal_warning
 from sppm_pipeline.method.nouns.mesh import PieceTaker
 from sppm_pipeline.method.part.part import islands_for, node_grid
@@ -270,6 +272,8 @@ class MarchingCubes(Stage):
             )
         if self.caps and not made.measures.balanced:
             raise ValueError("the mesh is not closed")
+        if self.caps and islands != "keep" and not on_torus(field) and _in_memory(made, context):
+            context.report(pieces=find_shells(*made.arrays).bodies)  # type: ignore[misc]
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell size is written as 1 mm")
         if made.arrays is None:
@@ -284,6 +288,11 @@ class _Extracted(NamedTuple):
     counts: tuple[int, int]
     measures: StreamedMeasures
     findings: dict[str, Any]
+
+
+def _in_memory(made: _Extracted, context: Context) -> bool:
+    """True of a mesh that is neither given away nor in files, where its vertices would be read in no order."""
+    return made.arrays is not None and sum(array.nbytes for array in made.arrays) <= context.memory // MEMORY_SHARE
 
 
 def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
