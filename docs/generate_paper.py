@@ -10,9 +10,10 @@ All that belongs to a figure or table stands in the map `notes` of its configura
 * `figure`, `title`, `paper` (what the paper's panel shows), `panels` (pictures of the run), `differs`;
 * `numbers`: what is compared. Each `says` what it is and takes one `column` of the runs, of all rows or those `where`
   columns have given values, ``*`` for any ending. `take` is mean (the default), least, largest, deviation (of single
-  draws), largest from mean (of the same value of the column `over`) or squared correlation (of these means with
-  `over`). `paper` is the paper's number or its range, `within` the tolerance, relative to the number or to the end of
-  the range;
+  draws), relative deviation, largest from mean (of the same value of the column `over`), squared correlation (of these
+  means with `over`), exponent (of the relative deviation over the volume of boxes of `over` cells along an edge) or
+  size for 5 % (the edge where it is 0.05). `paper` is the paper's number or its range, `within` the tolerance, relative
+  to the number or to the end of the range;
 * `keep`: columns that are stored beside those that numbers and tables take;
 * `tables`: by the name in a page's mark ``<!-- results: NAME -->``, up to ``<!-- end of results -->``: `rows` and
   `columns`, each with a `head`. A cell takes the column `row.column` of the rows `where` both say; a row may be `from`
@@ -58,8 +59,9 @@ PAPER = (
 """Configurations of the paper's figures and tables, in its order."""
 
 OTHERS: tuple[str, ...] = (
-    "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "tables/network", "how_random",
-    "stiffest_grid",
+    "tables/paper_cell", "tables/stiffest_cells", "tables/stiffest_density", "tables/tile_rules", "tables/network",
+    "tables/spheres", "tables/conduction", "tables/walls_grid", "tables/struts", "tables/onset",
+    "tables/crushing", "tables/volume", "how_random", "stiffest_grid",
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
@@ -320,6 +322,8 @@ def measured(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> Mea
     n, take = len(values), entry.get("take", "mean")
     mean = math.fsum(values) / n
     deviation = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (n - 1)) if n > 1 else 0.0
+    if take in ("exponent", "size for 5 %"):
+        return fall_of_spread(rows, entry, n)
     if "over" in entry and take not in ("largest from mean", "squared correlation"):
         below = chosen(rows, entry["over"], entry.get("where", {}))
         ratios = [{"ratio": a / b} for a, b in zip(values, below, strict=True)]
@@ -330,7 +334,31 @@ def measured(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> Mea
         return Measured(max(map(abs, from_means(rows, entry))), None, n)
     if take == "squared correlation":
         return Measured(squared_correlation(rows, entry), None, n)
-    return Measured({"least": min(values), "largest": max(values), "deviation": deviation}[take], None, n)
+    single = {"least": min(values), "largest": max(values), "deviation": deviation}
+    return Measured(single[take] if take in single else deviation / abs(mean), None, n)
+
+
+def fall_of_spread(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any], draws: int) -> Measured:
+    """The exponent with which the relative deviation falls with the volume, or the edge at which it is 0.05.
+
+    A straight line through the logarithms, each weighted by its draws: that of a deviation of n draws has the variance
+    1 / (2 n - 2), whence the error of the exponent.
+    """
+    where = entry.get("where", {})
+    points = []
+    for edge in sorted({row[entry["over"]] for row in rows if all(row.get(k) == v for k, v in where.items())}):
+        values = chosen(rows, entry["column"], {**where, entry["over"]: edge})
+        if len(values) > 1:
+            mean = math.fsum(values) / len(values)
+            spread = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (len(values) - 1)) / abs(mean)
+            points.append((3 * math.log(edge), math.log(spread), 2.0 * (len(values) - 1)))
+    weight = math.fsum(w for _, _, w in points)
+    x, y = (math.fsum(point[a] * point[2] for point in points) / weight for a in (0, 1))
+    xx = math.fsum(w * (a - x) ** 2 for a, _, w in points)
+    slope = math.fsum(w * (a - x) * (b - y) for a, b, w in points) / xx
+    if entry["take"] == "exponent":
+        return Measured(-slope, 1 / math.sqrt(xx), draws)
+    return Measured(math.exp((x + (math.log(0.05) - y) / slope) / 3), None, draws)
 
 
 def from_means(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> list[float]:

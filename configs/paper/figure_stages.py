@@ -1,11 +1,12 @@
-"""Stages that two figures of the paper need: pores at given places, and the scores of its worked example."""
+"""Stages that figures of the paper need: pores at given places, pores as bodies, the scores of its worked example."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, Sampler, Stage, option
+from sppm_pipeline import ConfigError, Context, Sampler, ScalarField, Stage, option
+from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.method.tiling.statistics import rule2_scores
 from sppm_pipeline.method.tiling.wang import tile_colors
 
@@ -27,6 +28,24 @@ class Given(Sampler):
 
     def throw(self, rng, box):
         return np.stack([self.x, self.y, np.full(len(self.x), self.z)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies(WrappedField):
+    """The void of a field as a solid."""
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        return -self.base.sample_layers(grid, start, stop, threads)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoresAsBodies(Stage):
+    """Make a solid of the pores and tunnels of a field."""
+
+    name: ClassVar[str] = "field.bodies"
+
+    def run(self, context: Context, field: ScalarField) -> ScalarField:
+        return Bodies(field)
 
 
 PLACED = {

@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from tests.docs.conftest import ROOT, script
@@ -72,6 +73,7 @@ ROWS = [{"n": n, "kind": k, "y": y} for n, k, y in ((1, "a_x", 1.0), (1, "a_y", 
         ({"take": "largest"}, 8.0, None),
         ({"take": "least"}, 1.0, None),
         ({"take": "deviation", "where": {"n": 1}}, 2.0**0.5, None),
+        ({"take": "relative deviation", "where": {"n": 1}}, 2.0**-0.5, None),
         ({"take": "largest from mean", "over": "n"}, 2.0, None),
         ({"over": "n"}, 2.5, 0.645497),
     ],
@@ -86,6 +88,19 @@ def test_the_squared_correlation_of_means() -> None:
     rows = [{"n": n, "y": y} for n, y in ((0, 0.0), (0, 2.0), (1, 2.0), (2, 6.0))]  # means 1, 2, 6
     found = generator.measured(rows, {"column": "y", "take": "squared correlation", "over": "n"})
     assert found.value == pytest.approx(25 / 28)
+
+
+def test_the_exponent_of_a_spread():
+    """Deviations of 0.8 / n^1.5 over means of 1, of two draws each, of which those beside count for other tables."""
+    rows = [{"n": n, "y": 1 + sign * 0.8 * n**-1.5 / 2**0.5, "kind": "a"} for n in (1, 2, 4) for sign in (-1, 1)] + [
+        {"n": 3, "y": 7.0, "kind": "b"}
+    ]
+    entry = {"column": "y", "over": "n", "where": {"kind": "a"}}
+    found = generator.measured(rows, {**entry, "take": "exponent"})
+    assert found.value == pytest.approx(0.5)
+    logs = [3 * np.log(n) for n in (1, 2, 4)]
+    assert found.error == pytest.approx(1 / (2 * 3 * np.var(logs)) ** 0.5)
+    assert generator.measured(rows, {**entry, "take": "size for 5 %"}).value == pytest.approx((0.8 / 0.05) ** (2 / 3))
 
 
 @pytest.mark.parametrize(

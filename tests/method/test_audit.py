@@ -25,7 +25,14 @@ PART = [
     ),
     stage("slice.field", {"field": "fill.implicit"}, pixel_mm=[0.05, 0.05], layer_mm=0.05),
     stage("write.png", {"stack": "slice.field"}, solid_volume_mm3=300.0, solid_share_of_box=0.2, removed_share=0.001),
-    stage("extract.marching_cubes", {"field": "fill.implicit"}, {"caps": True}, volume_mm3=300.5, removed_share=0.0, pieces=1),
+    stage(
+        "extract.marching_cubes",
+        {"field": "fill.implicit"},
+        {"caps": True},
+        volume_mm3=300.5,
+        removed_share=0.0,
+        pieces=1,
+    ),
 ]
 
 

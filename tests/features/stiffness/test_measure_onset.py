@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset, onsets
+from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset, onsets, shares_above
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -119,7 +119,32 @@ def test_shares_count_volume():
     assert onsets(ratios, np.array([0.1, 0.4, 0.5]), (0.05, 0.1, 0.11, 0.5, 1.0)) == (0.25, 0.25, 0.5, 0.5, 1.0)
 
 
+def test_shares_above_multiples_of_the_mean_count_volume():
+    ratios = np.array([[8.0] * 8, [1.0] * 8, [0.0] * 8], np.float32)
+    # the mean is 0.1 * 8 + 0.4 * 1 = 1.2
+    assert shares_above(ratios, np.array([0.1, 0.4, 0.5]), (0.0, 0.5, 2.0, 7.0)) == pytest.approx([0.5, 0.5, 0.1, 0.0])
+
+
+def test_layers_concentrate_stress_and_fail_by_fatigue():
+    """Along two layers of moduli 1 and 3, a quarter and three quarters: stresses are 0.4 and 1.2 of the mean one."""
+    values = np.ones((8, 4, 4))
+    values[:, :1] = 2
+    given = {"young": (3.0, 1.0), "poisson": (0.0, 0.0), "yield_stress": 2.0, "shares": (0.5, 1.0)}
+    numbers, table = measured(voxels(values), **given, basquin=(1.5, -0.1), cycles=(1e2, 1e6))
+    assert table["concentration"][:2] == pytest.approx((1.2, 0.4), rel=1e-4)
+    assert numbers["above"] == [0.0] * 3
+    assert numbers["fatigue"][0] == pytest.approx(numbers["onset"] * 1.5 * 200**-0.1, rel=1e-6)
+    assert numbers["fatigue"][1] == pytest.approx(numbers["onset"] * 1.5 * 2e6**-0.1, rel=1e-6)
+    numbers, _ = measured(voxels(values), **given, basquin=(1.5, -0.1), cycles=(1.0, 1e6))
+    assert numbers["fatigue"][0] is None  # 1.4 times the yield stress: the solid yields in the first cycle
+    two, table = measured(voxels(values), **(given | {"yield_stress": (2.0, 1.0)}))
+    assert "concentration" not in table
+    assert "fatigue" not in two
+
+
 def test_refusals():
+    with pytest.raises(ConfigError, match="`basquin` is"):
+        MeasureOnset(basquin=(1.5, 0.1)).check_options()
     with pytest.raises(DesignError, match="empty"):
         measured(voxels(np.zeros((3, 3, 3))))
     with pytest.raises(ConfigError, match="`yield_stress` has 3 values, and `young` 2"):

@@ -95,7 +95,16 @@ def onsets(ratios: F32, weights: F64, shares: Sequence[float]) -> tuple[float, .
     return tuple(float(1 / flat[order[place]]) for place in np.minimum(places, len(flat) - 1))
 
 
+def shares_above(ratios: F32, weights: F64, multiples: Sequence[float]) -> list[float]:
+    """Shares of the solid whose stress ratio (n, 8) is more than these multiples of its mean over the solid."""
+    total = 8 * float(weights.sum())
+    mean = float((ratios.sum(axis=1, dtype=np.float64) * weights).sum()) / total
+    return [float(((ratios > m * mean).sum(axis=1) * weights).sum()) / total for m in multiples]
+
+
 AXES = "xyz"
+MULTIPLES = (2.0, 3.0, 5.0)
+"""Multiples of the mean stress of the solid for which the share of it beyond them is reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,12 +119,20 @@ class MeasureOnset(ElasticCell):
 
     An ideally plastic solid bears more than this; a brittle one fails near it. The solid of a partial voxel has the
     voxel's strain, and counts by its volume. What fills the void never yields. The table has a row for each axis and
-    share. The spread over draws is that of a sweep over seeds.
+    share; `concentration` there is the least stress of that share over the mean stress of the cell, where one yield
+    stress holds. `above` says which share of the solid bears more than two, three and five times its own mean stress,
+    in the mean of the axes. The spread over draws is that of a sweep over seeds.
+
+    With `basquin` fatigue is estimated: amplitudes of the mean stress, fully reversed, after which the share `yielded`
+    of the solid has failed by ``amplitude / yield stress = A (2 N)^b`` (Basquin 1910) in `cycles` N. Notches, the
+    finish of surfaces and cracks that grow are left out, and what yields at once has no such life: an estimate.
     """
 
     name: ClassVar[str] = "measure.onset"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = (
-        "onset", "deviation", "x", "y", "z", "share", "unit", "relative_density", "iterations.*",
+        "onset", "deviation", "x", "y", "z", "share", "unit", "relative_density", "above.#3", "fatigue.*", "cycles.*",
+        "iterations.*",
     )  # fmt: skip
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("onset", "onset of yield", "{unit}"), Headline("deviation", "its deviation over axes", "{unit}"),
@@ -126,6 +143,11 @@ class MeasureOnset(ElasticCell):
     )
     yielded: float = option(0.01, help="share of the solid that yields, of the numbers reported", above=0, maximum=1)
     shares: tuple[float, ...] = option((0.001, 0.01, 0.05), help="shares of the table", above=0, maximum=1)
+    basquin: tuple[float, float] | None = option(
+        None, help="coefficient A over the yield stress and exponent b, below 0, of the solid's life in fatigue: an "
+        "estimate of that of the cell", minimum=-1, maximum=100,
+    )  # fmt: skip
+    cycles: tuple[float, ...] = option((1e4, 1e5, 1e6, 1e7), help="numbers of cycles", minimum=1, maximum=1e12)
 
     def check_options(self) -> None:
         """As many yield stresses as materials, or one."""
@@ -134,6 +156,10 @@ class MeasureOnset(ElasticCell):
         if given not in (1, phases):
             raise ConfigError(
                 f"`yield_stress` has {given} values, and `young` {phases}", hint="give one, or one for every phase"
+            )
+        if self.basquin is not None and not (self.basquin[0] > 0 > self.basquin[1]):
+            raise ConfigError(
+                f"`basquin` is {list(self.basquin)}", hint="a coefficient above 0 and an exponent below 0: [1.5, -0.1]"
             )
 
     def bytes_of_a_voxel(self, threads: int) -> int:
@@ -166,20 +192,35 @@ class MeasureOnset(ElasticCell):
         wanted = (self.yielded, *self.shares)
         rows: list[tuple[str, float, float | None]] = []
         means: list[float | None] = []
+        above: list[list[float]] = []
         for axis, name in enumerate(AXES):
             strain = uniaxial_strain(found.stiffness, axis)
             values: tuple[float | None, ...] = (None,) * len(wanted)
             if strain is None:
                 context.warn(f"the solid has no load path along {name}")
             else:
-                values = onsets(stress_ratios(found, strain, modulus, cell.edges), weights, wanted)
+                stresses = stress_ratios(found, strain, modulus, cell.edges)
+                values = onsets(stresses, weights, wanted)
+                above.append(shares_above(stresses, weights, MULTIPLES))
             means.append(values[0])
             rows += [(name, share, value) for share, value in zip(self.shares, values[1:], strict=True)]
         borne = [value for value in means if value is not None]
         context.report(
             onset=float(np.mean(borne)) if borne else None, deviation=float(np.std(borne)) if borne else None,
             **dict(zip(AXES, means, strict=True)), share=self.yielded, unit=self.stress_unit,
-            relative_density=1 - cell.porosity, iterations=[case.iterations for case in found.solved],
+            relative_density=1 - cell.porosity, above=np.mean(above, axis=0).tolist() if above else [None] * 3,
+            **self._fatigue(float(np.mean(borne)) if borne else None),
+            iterations=[case.iterations for case in found.solved],
         )  # fmt: skip
-        axes, shares, stresses = zip(*rows, strict=True) if rows else ((), (), ())
-        return Table({"axis": axes, "share": shares, "onset": stresses})
+        columns = zip(*rows, strict=True) if rows else ((), (), ())
+        table = dict(zip(("axis", "share", "onset"), columns, strict=True))
+        if len(set(strengths)) == 1:
+            table["concentration"] = tuple(strengths[0] / value if value else None for value in table["onset"])
+        return Table(table)
+
+    def _fatigue(self, onset: float | None) -> dict[str, Any]:
+        """Amplitudes for all numbers of cycles, None where the solid would yield at once."""
+        if self.basquin is None or onset is None:
+            return {}
+        lives = [self.basquin[0] * (2 * n) ** self.basquin[1] for n in self.cycles]
+        return {"fatigue": [onset * life if life < 1 else None for life in lives], "cycles": list(self.cycles)}
