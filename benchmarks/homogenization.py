@@ -1,6 +1,7 @@
 """Effective stiffness and conductivity of a cell, against what else can be installed, and against memory bandwidth.
 
-Usage: python -m benchmarks.homogenization [sizes...]   (`pip install muGrid pyamg` for the others)
+Usage: python -m benchmarks.homogenization [sizes...]           (`pip install muGrid pyamg` for the others)
+       python -m benchmarks.homogenization elongated [size]   elongated voxels beside cubes, single beside double
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import sppm_pipeline as sppm
 from benchmarks.measure import table
 from sppm_pipeline.features.flow.numerics.conduction import conductivity
 from sppm_pipeline.features.stiffness.numerics.elasticity import Homogenized, stiffness
+from sppm_pipeline.method.porosity.fractions import solid_fractions, stiff_share
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
@@ -98,7 +101,41 @@ def measured(n: int, speed: float) -> list[list[Any]]:
     return rows
 
 
+def elongated(n: int) -> list[list[Any]]:
+    """Presets cut into elongated voxels, and stretched: precision, iterations, time beside single and cubes."""
+    rows: list[list[Any]] = []
+    long, wide = round(n / 9 ** (1 / 3)), round(n / 3 ** (1 / 3))
+    shapes = (
+        ((n, n, n), (1, 1, 1)), ((3 * long, 3 * long, long), (1, 1, 3)), ((3 * wide, wide, wide), (1, 3, 3)),
+        ((n, n, n), (3, 1, 1)), ((n, n, n), (3, 3, 1)),
+    )  # fmt: skip
+    for preset, porosity in (("paper", 0.5), ("paper", 0.7), ("stiff", 0.5), ("stiff", 0.7)):
+        field = sppm.cell(preset, porosity=porosity, seed=1)
+        cubes = 0.0
+        for (nx, ny, nz), edges in shapes:
+            share = stiff_share(
+                solid_fractions(
+                    lambda grid, start, stop: field.sample_zyx(grid, start, stop),  # noqa: B023
+                    (nx, ny, nz), (float(nx), float(ny), float(nz)),
+                )
+            )  # fmt: skip
+            lam, mu = lame(np.asarray(share, np.float32), np.float32(0.3))
+            _, single, found = _best(lambda: stiffness(lam, mu, edges), 2)  # noqa: B023
+            _, double, _ = _best(lambda: stiffness(lam, mu, edges, precision=np.float64), 2)  # noqa: B023
+            cubes = cubes or single / share.size
+            rows.append([
+                f"{preset} {porosity}, {nx} x {ny} x {nz}", ":".join(map(str, edges)), found.precision,
+                sum(case.iterations for case in found.solved), 1e6 * single / share.size, double / single,
+                single / share.size / cubes,
+            ])  # fmt: skip
+    return rows
+
+
 def main() -> None:
+    if sys.argv[1:2] == ["elongated"]:
+        columns = ["cell, voxels", "edges", "precision", "iterations", "CPU us/voxel", "double/single", "over cubes"]
+        table("elongated voxels", columns, elongated(int(sys.argv[2]) if len(sys.argv) > 2 else 48))
+        return
     sizes = [int(word) for word in sys.argv[1:]] or [32, 64]
     speed = bandwidth()
     print(f"memory: {speed / 1e9:.1f} GB/s for one thread (a + b -> c)")
