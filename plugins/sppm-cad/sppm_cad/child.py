@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import tempfile
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -150,10 +151,12 @@ def tessellated(
 
 
 def _read_iges(reader: Any, data: bytes) -> None:
-    # IGES is read by name only: the private folder of this process holds it for that long
-    with open("part.igs", "wb") as file:
+    # IGES is read by name only
+    with tempfile.NamedTemporaryFile(suffix=".igs") as file:
         file.write(data)
-    if reader.ReadFile("part.igs") != IFSelect_ReturnStatus.IFSelect_RetDone:
+        file.flush()
+        status = reader.ReadFile(file.name)
+    if status != IFSelect_ReturnStatus.IFSelect_RetDone:
         raise InputError("the file is no IGES file that can be read, or is cut off", hint="export it as STEP")
 
 
