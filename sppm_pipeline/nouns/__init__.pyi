@@ -45,6 +45,7 @@ from sppm_pipeline.method.nouns.maps import Place as Place
 from sppm_pipeline.method.nouns.mesh import RepeatedMesh as RepeatedMesh
 from sppm_pipeline.method.nouns.printer import Motion as Motion
 from sppm_pipeline.method.nouns.printer import Printer as Printer
+from sppm_pipeline.method.nouns.printer import cards as cards
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport as StiffnessReport
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign as StiffnessDesign
 from sppm_pipeline.method.part.border import Border as Border

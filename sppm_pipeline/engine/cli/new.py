@@ -1,9 +1,10 @@
-"""``sppm new``: a first pipeline, or the skeleton of a plugin distribution that works and is tested."""
+"""``sppm new``: a first pipeline, one that fills a mesh, or the skeleton of a plugin that works and is tested."""
 
 from __future__ import annotations
 
 import json
 import keyword
+import os
 import re
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -18,6 +19,9 @@ SCHEMA = "sppm.schema.json"
 TEMPLATES = packaged_folder() / "examples" / "new"
 """Folder of the templates, with names to be replaced: ``pipeline.yaml``, what all plugins share, and a folder for each
 kind."""
+
+DESIGNS = tuple(sorted(path.stem for path in (TEMPLATES / "designs").glob("*.yaml")))
+"""What a mesh may be made to, by templates that lack only the layers."""
 
 
 class Kind(NamedTuple):
@@ -43,8 +47,11 @@ PLUGINS_PAGE = "docs/explanation/architecture.md#plugins-without-a-template"
 
 
 def configure_new(parser: ArgumentParser) -> None:
-    parser.add_argument("what", choices=("pipeline", "plugin"), help="what to write")
-    parser.add_argument("name", metavar="NAME", help="name of the design or of the distribution")
+    parser.add_argument(
+        "what", choices=("pipeline", "plugin", *DESIGNS), help="what to write; all but the first two fill a mesh"
+    )
+    parser.add_argument("name", metavar="NAME", help="name of the design or of the distribution; or the mesh to fill")
+    parser.add_argument("--printer", metavar="NAME", help="printer to slice for; PNG layers if omitted")
     parser.add_argument(
         "--kind",
         choices=(*KINDS, *FORMER_KINDS),
@@ -56,6 +63,8 @@ def configure_new(parser: ArgumentParser) -> None:
 
 def execute_new(args: Namespace) -> int:
     """Write it."""
+    if args.what in DESIGNS:
+        return _design(args.what, Path(args.name), args.printer, args.output)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", args.name):
         raise ConfigError(f"a name consists of letters, digits, _ and - and starts with a letter, got {args.name!r}")
     if args.kind in FORMER_KINDS:
@@ -87,6 +96,28 @@ def _pipeline(name: str, folder: Path) -> int:
             + "\n",
         )
     print(f"{path}\nnext: sppm check {path}, then sppm run {path}; editors complete options by {schema}")
+    return 0
+
+
+def _design(kind: str, mesh: Path, printer: str | None, folder: Path) -> int:
+    from sppm_pipeline.nouns import cards
+
+    if not mesh.is_file():
+        raise ConfigError(f"{str(mesh)!r} is no file", hint=f"give the mesh to fill: sppm new {kind} my.stl")
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", f"{mesh.stem}_{kind}")
+    sliced, write = "pixel: 0.05 mm", "write.png, path: slices"
+    if printer is not None:
+        card = cards().printers.get(printer)
+        if card is None:
+            raise ConfigError(f"there is no printer {printer!r}", hint="`sppm printers` lists them")
+        ending = {"nanodlp": "zip"}.get(card.format, card.format)
+        sliced, write = f"printer: {printer}, layer: 0.05 mm", f"write.{card.format}, path: {name}.{ending}"
+    path = folder / f"{name}.yaml"
+    names = {"my_design": name, '"my_part"': json.dumps(Path(os.path.relpath(mesh, folder)).as_posix())}
+    text = (TEMPLATES / "designs" / f"{kind}.yaml").read_text(encoding="utf-8")
+    text = re.sub("|".join(names), lambda found: names[found[0]], text)
+    _write(path, f"{text}  - {{stage: slice.field, {sliced}}}\n  - {{stage: check.print}}\n  - {{stage: {write}}}\n")
+    print(f"{path}\nnext: sppm check {path}, then sppm run {path}")
     return 0
 
 

@@ -106,7 +106,12 @@ class PrintReport:
         said = [trapped(n) if n["traps"] else "no resin trap"]
         if n["cups"] or n["traps"]:
             other = "other " if n["traps"] else ""
-            said.append(f"{_count(n['cups'], f'{other}suction cup')}, sections up to {n['largest_cup_mm2']:.4g} mm2")
+            large, small = n["cups_above_30_mm2"], n["cups_below_3_mm2"]
+            sizes = f" ({large:,} above 30 mm2, {small:,} below 3 mm2, {_count(n['cups_open_at_top'], 'through hole')})"
+            said.append(
+                f"{_count(n['cups'], f'{other}suction cup')}, sections up to {n['largest_cup_mm2']:.4g} mm2"
+                f"{sizes if n['cups'] else ''}"
+            )
         else:
             said.append("no suction cup")
         said.append(
@@ -114,6 +119,10 @@ class PrintReport:
         )
         if n["floating_parts"]:
             said.append(f"{_count(n['floating_parts'], 'part')} afloat ({n['floating_mm3']:.4g} mm3)")
+        if n.get("resin_g") is not None:
+            price = "" if n["price"] is None else f", price {n['price']:.2f}"
+            hours = "" if n["print_time_s"] is None else f", {n['print_time_s'] / 3600:.1f} h"
+            said.append(f"{n['resin_ml']:.3g} ml of resin, {n['resin_g']:.3g} g{price}{hours}")
         return "; ".join(said)
 
     def json(self) -> str:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.cli.new import FORMER_KINDS, KINDS, PLUGINS_PAGE, TEMPLATES
+from sppm_pipeline.engine.cli.new import DESIGNS, FORMER_KINDS, KINDS, PLUGINS_PAGE, TEMPLATES
 
 
 def test_a_new_pipeline_is_a_valid_one(tmp_path, monkeypatch, capsys):
@@ -121,3 +121,43 @@ def test_each_kind_has_a_stage_that_is_short():
         module, _, name = place.partition(":")
         text = (TEMPLATES / kind / "my_plugin" / f"{module}.py").read_text()
         assert 10 <= len(text.partition(f"class {name}(")[2].splitlines()) <= 30
+
+
+@pytest.fixture
+def part(tmp_path) -> Path:
+    (tmp_path / "parts").mkdir()
+    path = tmp_path / "parts" / "my part.off"
+    path.write_text("OFF\n4 4 0\n0 0 0\n30 0 0\n0 30 0\n0 0 30\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n")
+    return path
+
+
+@pytest.mark.parametrize("kind", DESIGNS)
+@pytest.mark.parametrize(("printer", "writer"), [(None, "write.png"), ("elegoo_mars_4", "write.goo")])
+def test_a_design_for_a_mesh_is_a_valid_one(kind, printer, writer, part, tmp_path, capsys):
+    folder = tmp_path / "out"
+    arguments = ["new", kind, str(part), "-o", str(folder), *(["--printer", printer] if printer else [])]
+    assert main(arguments) == 0
+    path = folder / f"my_part_{kind}.yaml"
+    text = path.read_text()
+    assert f"stage: {writer}" in text
+    assert (printer or "pixel: 0.05 mm") in text
+    assert f"name: my_part_{kind}\n" in text
+    assert 'path: "../parts/my part.off"' in text
+    assert main(["check", str(path), "--no-plugins"]) == 0, capsys.readouterr().err
+    assert main(arguments) == 2
+    assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_every_printer_has_a_writer(part, tmp_path):
+    from sppm_pipeline.nouns import cards
+
+    for name in sorted({card.format: name for name, card in cards().printers.items()}.values()):
+        assert main(["new", "cage", str(part), "-o", str(tmp_path / name), "--printer", name]) == 0
+        assert main(["check", str(tmp_path / name / "my_part_cage.yaml"), "--no-plugins", "-q"]) == 0
+
+
+def test_designs_that_can_not_be(part, capsys):
+    assert main(["new", "cage", str(part), "--printer", "inkjet"]) == 2
+    assert "no printer 'inkjet'" in capsys.readouterr().err
+    assert main(["new", "cage", "nothing.stl"]) == 2
+    assert "is no file" in capsys.readouterr().err

@@ -57,6 +57,9 @@ def test_report_of_a_body_with_known_answers(vase):
     assert found["trap_mm3"] == pytest.approx(3 * 4 * 3 * VOXEL)
     assert (found["cups"], found["cups_open_at_top"], found["cups_at_plate"]) == (1, 0, 0)
     assert found["largest_cup_mm2"] == pytest.approx(4 * 3 * 0.05)
+    assert (found["cups_above_30_mm2"], found["cups_below_3_mm2"]) == (0, 1)
+    assert "(0 above 30 mm2, 1 below 3 mm2, 0 through holes)" in found["verdict"]
+    assert found["resin_g"] is None  # of what resin, is not known
     assert found["suction_n"] == pytest.approx((4 * 3 + 3 * 3) * 0.05 * 0.101)
     assert (found["islands"], found["floating_parts"]) == (1, 1)
     assert found["largest_island_mm2"] == pytest.approx(0.05)
@@ -207,6 +210,8 @@ def test_resin_time_and_price(vase, tmp_path):
     assert (plain["print_time_s"], plain["price"], plain["clogged_mm3"]) == (None, None, None)
     context, _ = checked(vase, resin="plain", cards=own, loss=0.0)
     assert context.reported["price"] == pytest.approx(vase.sum() * VOXEL / 1e6 * 50)
+    assert context.reported["resin_g"] == pytest.approx(1.1 * context.reported["resin_ml"])
+    assert f"ml of resin, {context.reported['resin_g']:.3g} g, price" in context.reported["verdict"]
     # a card without the depths of the working curve
     assert context.reported["clogged_mm3"] is None
     assert "cure-through is left out" in context.warnings[-1]

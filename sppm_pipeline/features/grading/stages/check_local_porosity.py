@@ -10,19 +10,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    Palette,
-    Part,
-    Recipe,
-    ScalarField,
-    Stage,
-    TileSet,
-    Tiling,
-    options,
-)
+from sppm_pipeline import Palette, Part, ScalarField, TileSet, Tiling, options
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.features.grading.laws import StiffnessLaw
@@ -41,6 +30,7 @@ from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.services.arrays import F64, I64, U8, Bools
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.services.pictures.sheets import colors_of, contact_sheet, with_scale
+from sppm_pipeline.stage import Context, Headline, Recipe, Stage
 
 _ALONG = 900  # pixels along the longer side of a section
 _NOTHING = (235, 235, 235)

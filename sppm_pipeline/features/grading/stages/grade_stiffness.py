@@ -8,21 +8,9 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    InputError,
-    Microstructure,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Microstructure, Palette, RecipeSize, Size, SurfaceMesh, options
 from sppm_pipeline.built_in import stage_class
+from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import StiffnessLaw
 from sppm_pipeline.features.grading.numerics.curve import stiffness_curve
@@ -31,6 +19,7 @@ from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.services.arrays import F64
+from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 TRIED = 6
 """Numbers of pores that usually cover porosities from 0.3 to 0.8."""

@@ -7,21 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    Stage,
-    SurfaceMesh,
-    TileSet,
-    Tiling,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Palette, RecipeSize, Size, SurfaceMesh, TileSet, Tiling, options
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.map_sizes import check_round, graded_radii, sites_of
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
@@ -33,6 +20,7 @@ from sppm_pipeline.method.families.tileset_maker import check_faces
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.tiling.lattice import face_presence, meetings, tile_fresh, with_halo
 from sppm_pipeline.services.arrays import F64, I64, Bools
+from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 FACE_OFFSET = 0.25
 """Distance from a face, in cell sizes, at which the map gives its number of pores on either side. A heuristic: the

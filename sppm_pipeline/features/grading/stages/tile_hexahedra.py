@@ -7,19 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Length,
-    Palette,
-    Recipe,
-    RecipeSize,
-    Size,
-    Stage,
-    Tiling,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Palette, RecipeSize, Size, Tiling, options
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.grading.curved_porosity import FINER, FINEST, most_samples
 from sppm_pipeline.features.grading.hexahedral_cloud import RIM, HexahedralCloud
 from sppm_pipeline.features.grading.rounds import trial
@@ -27,6 +16,7 @@ from sppm_pipeline.features.grading.stages.read_hexahedra import cells_of_mesh, 
 from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
+from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch", "stretch_across")
 """Maps that other stages follow which scatter pores."""

@@ -8,20 +8,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    Size,
-    Stage,
-    SurfaceMesh,
-    TileSet,
-    Tiling,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Palette, Size, SurfaceMesh, TileSet, Tiling, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.joined import JoinedSets, Layout, SameSize, Transition, TwoSizes, usual_kernels
 from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.map_sizes import check_round
@@ -35,6 +23,7 @@ from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.sampling.darts import throw
 from sppm_pipeline.method.tiling.lattice import with_halo
 from sppm_pipeline.services.arrays import F64, I64
+from sppm_pipeline.stage import Context, Stage, option
 
 TIGHTER = 0.93
 """Factor of the spacing after the pores of a transition cell did not fit. Not sensitive: it is applied until they fit,

@@ -8,19 +8,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline import (
-    Context,
-    DesignError,
-    Headline,
-    Palette,
-    Part,
-    ScalarField,
-    Size,
-    Stage,
-    Tiling,
-    option,
-    options,
-)
+from sppm_pipeline import Palette, Part, ScalarField, Size, Tiling, options
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.features.grading.curved_porosity import (
     CurvedSamples,
@@ -36,6 +25,7 @@ from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.services.arrays import F64, I64
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 LOWEST = 0.05
 """Lower bound of the level C, where pores are 1.5 times as wide as at the usual 0.25. Not sensitive: levels of graded

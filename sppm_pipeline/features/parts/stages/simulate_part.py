@@ -8,22 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Palette,
-    Part,
-    Recipe,
-    RecipeSize,
-    ScalarField,
-    Size,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Palette, Part, RecipeSize, ScalarField, Size, SurfaceMesh, options
 from sppm_pipeline.engine.process.budget import require_memory
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import field_body
 from sppm_pipeline.features.parts.material import LoadedPart, Model, depths_of, middles_of, simulated
 from sppm_pipeline.features.parts.part_result import PartResult
@@ -32,6 +19,7 @@ from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.elastic.voigt import lame
+from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 VOXEL_BYTES = 80
 """Of the solver in single precision: displacements, residual, direction and forces, moduli and weights, images."""

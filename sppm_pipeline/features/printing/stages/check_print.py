@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 ATMOSPHERE = 0.101
 """N/mm2: a cup that is pulled off the film is held by no more than the pressure of the air outside."""
 
+LARGE_CUP, SMALL_CUP = 30.0, 3.0
+"""mm2; cups above the first, at which the air may pull with 3 N, are worth a drain, those below the second are not."""
+
 MAX_LISTED = 100
 """Events of a kind that the report lists one by one, the largest first."""
 
@@ -66,10 +69,11 @@ class CheckPrint(Stage):
     libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     reported: ClassVar[tuple[str, ...]] = (
         "traps", "trap_mm3", "largest_trap_mm3", "cups", "cups_at_plate", "cups_open_at_top", "largest_cup_mm2",
+        "cups_above_30_mm2", "cups_below_3_mm2",
         "suction_n", "islands", "largest_island_mm2", "floating_parts", "floating_mm3", "overhang_mm2",
         "largest_overhang_mm2", "solid_mm3", "largest_layer_mm2", "largest_section_mm2", "adhesion",
         "center_of_mass_mm.#3", "foot_margin_mm", "undrained_mm3", "way_out_mm", "thin_solid_share", "thin_void_mm3",
-        "clogged_mm3", "clogged_trap_mm3", "resin_ml", "print_time_s", "price",
+        "clogged_mm3", "clogged_trap_mm3", "resin_ml", "resin_g", "print_time_s", "price",
     )  # fmt: skip
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
@@ -185,6 +189,8 @@ class CheckPrint(Stage):
             "cups_at_plate": int(cups.counts[AT_PLATE]),
             "cups_open_at_top": int(cups.counts[AT_END]),
             "largest_cup_mm2": float(cups.section.max(initial=0) * pixel),
+            "cups_above_30_mm2": int((cups.section[cups.kind != NEVER] * pixel > LARGE_CUP).sum()),
+            "cups_below_3_mm2": int((cups.section[cups.kind != NEVER] * pixel < SMALL_CUP).sum()),
             "suction_n": float(curves["sealed"].max() * pixel * ATMOSPHERE),
             "islands": int(islands.counts[JOINED]),
             "largest_island_mm2": float(islands.section[islands.kind == JOINED].max(initial=0) * pixel),
@@ -226,8 +232,10 @@ class CheckPrint(Stage):
 
     def _job(self, stack: SliceStack, solid_mm3: float) -> dict[str, Any]:
         """Resin, and time and price as far as printer and resin are known."""
-        found: dict[str, Any] = {"resin_ml": solid_mm3 / 1000 * (1 + self.loss), "print_time_s": None, "price": None}
+        found: dict[str, Any] = {"resin_ml": solid_mm3 / 1000 * (1 + self.loss)}
+        found |= dict.fromkeys(("resin_g", "print_time_s", "price"))
         if (card := self.card()) is not None:
+            found["resin_g"] = found["resin_ml"] * card.density_g_ml
             if card.price_per_liter is not None:
                 found["price"] = found["resin_ml"] / 1000 * card.price_per_liter
             if stack.printer is not None:

@@ -7,24 +7,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    Length,
-    Palette,
-    Rejected,
-    ScalarField,
-    Size,
-    Stage,
-    Voxels,
-    option,
-    options,
-)
-from sppm_pipeline.errors import ResourceError
+from sppm_pipeline import Length, Palette, ScalarField, Size, Voxels, options
+from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.features.printing.print_report import Measure, parse_rule
 from sppm_pipeline.services.arrays import F32, U8
 from sppm_pipeline.services.grid import cell_centers
+from sppm_pipeline.stage import Context, Headline, Rejected, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.services.local_thickness import LimitSizes

@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    Headline,
-    Length,
-    Palette,
-    Part,
-    Size,
-    Stage,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Palette, Part, Size, SurfaceMesh, options
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.printing.numerics.routes import (
     AMBIENT,
     borings,
@@ -38,6 +27,7 @@ from sppm_pipeline.features.printing.print_report import rounded
 from sppm_pipeline.method.part.part import coarse_size
 from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.printing.numerics.routes import Candidates, Traps

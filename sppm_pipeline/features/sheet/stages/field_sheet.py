@@ -9,22 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    Cell,
-    ConfigError,
-    Context,
-    DesignError,
-    Headline,
-    Length,
-    Palette,
-    PoreSet,
-    ScalarField,
-    Size,
-    Stage,
-    TunnelGraph,
-    option,
-    options,
-)
+from sppm_pipeline import Cell, Length, Palette, PoreSet, ScalarField, Size, TunnelGraph, options
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.sheet.numerics.waves import Waves, relaxed, sum_of_waves, two_networks
 from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays
 from sppm_pipeline.method.assembly.gather import Catalog, make_catalog, sample_exact
@@ -35,6 +21,7 @@ from sppm_pipeline.nouns.size import Geometry
 from sppm_pipeline.numerics import Grid, cell_centers, phase_report
 from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.mesh.rotation import rotation
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,21 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    Part,
-    ScalarField,
-    Size,
-    Stage,
-    SurfaceMesh,
-    option,
-    options,
-)
+from sppm_pipeline import Length, Palette, Part, ScalarField, Size, SurfaceMesh, options
 from sppm_pipeline.engine.process.budget import child_memory, require_memory
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.surface.field_surface import (
     MAX_VOXELS,
     MIN_VOXELS,
@@ -41,6 +29,7 @@ from sppm_pipeline.features.surface.solids import (
 from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.stage import Context, Stage, option
 
 Mesh = tuple[F64, I32]
 

@@ -12,21 +12,8 @@ from typing import IO, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    Length,
-    Palette,
-    Part,
-    ScalarField,
-    Size,
-    Stage,
-    SurfaceMesh,
-    option,
-    options,
-)
-from sppm_pipeline.errors import ResourceError
+from sppm_pipeline import Length, Palette, Part, ScalarField, Size, SurfaceMesh, options
+from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
 from sppm_pipeline.features.surface.field_surface import (
     KEPT_SAMPLES,
     MAX_VOXELS,
@@ -43,6 +30,7 @@ from sppm_pipeline.method.nouns.mesh import PieceTaker
 from sppm_pipeline.method.part.part import islands_for, node_grid
 from sppm_pipeline.services.arrays import F32, F64, I32
 from sppm_pipeline.services.mesh.measures import add_sums, edge_balance, nothing_found, read_only
+from sppm_pipeline.stage import Context, Stage, option
 
 _NO_RIMS = np.empty((0, 3))
 

@@ -7,21 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import (
-    ConfigError,
-    Context,
-    DesignError,
-    InputError,
-    Length,
-    Palette,
-    Part,
-    ScalarField,
-    Size,
-    Stage,
-    SurfaceMesh,
-    options,
-)
+from sppm_pipeline import Length, Palette, Part, ScalarField, Size, SurfaceMesh, options
 from sppm_pipeline.engine.process.budget import child_memory, require_memory
+from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.surface.field_surface import (
     MAX_VOXELS,
     MIN_VOXELS,
@@ -32,6 +20,7 @@ from sppm_pipeline.features.surface.field_surface import (
 from sppm_pipeline.features.surface.solids import ManifoldLimits, check_solid, manifold_combine
 from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.services.arrays import F64, I32
+from sppm_pipeline.stage import Context, Stage
 
 BOOLEAN_BYTES = 600
 """Bytes for each triangle that goes into a Boolean, its own arrays and those of the result included; measured."""
