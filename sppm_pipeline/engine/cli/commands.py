@@ -22,7 +22,7 @@ VERBS = {
     "completion": "print the script that completes verbs, stages and options in a shell",
     "fix": "rewrite former names of stages and options in a configuration",
     "cite": "print what to cite: the program, the paper, and sources of the stages of a configuration",
-    "new": "write a first pipeline, or the skeleton of a plugin",
+    "new": "write a first pipeline, one that fills a mesh, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }
 """Verb of the engine -> what it does; features bring theirs by the hook `sppm_commands`."""

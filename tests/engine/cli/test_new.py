@@ -153,7 +153,7 @@ def test_every_printer_has_a_writer(part, tmp_path):
 
     for name in sorted({card.format: name for name, card in cards().printers.items()}.values()):
         assert main(["new", "cage", str(part), "-o", str(tmp_path / name), "--printer", name]) == 0
-        assert main(["check", str(tmp_path / name / "my_part_cage.yaml"), "--no-plugins", "-q"]) == 0
+        assert main(["check", str(tmp_path / name / "my_part_cage.yaml"), "--no-plugins"]) == 0
 
 
 def test_designs_that_can_not_be(part, capsys):
