@@ -116,7 +116,7 @@ def test_names_that_would_not_do(made, capsys):
 
 
 def test_each_kind_has_a_stage_that_is_short():
-    assert {path.name for path in TEMPLATES.iterdir() if path.is_dir()} == {*KINDS, "plugin"}
+    assert {path.name for path in TEMPLATES.iterdir() if path.is_dir()} == {*KINDS, "plugin", "designs"}
     for kind, (_, place, _) in KINDS.items():
         module, _, name = place.partition(":")
         text = (TEMPLATES / kind / "my_plugin" / f"{module}.py").read_text()
