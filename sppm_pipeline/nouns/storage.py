@@ -179,7 +179,7 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         fields = {}
         for field in dataclasses.fields(value):
             # what is computed from other fields is computed again
-            if not field.compare and _has_default(field):
+            if not field.compare and not (field.default is field.default_factory is dataclasses.MISSING):
                 continue
             if not field.init:
                 raise NotStorable(f"{type(value).__name__}.{field.name} is not set by the constructor")
@@ -224,10 +224,6 @@ def _leaves(tree: Any) -> int:
 
 def _is_frozen(cls: Any) -> bool:
     return bool(dataclasses.is_dataclass(cls) and getattr(cls, "__dataclass_params__").frozen)  # noqa: B009 - untyped
-
-
-def _has_default(field: dataclasses.Field[Any]) -> bool:
-    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
 
 
 def _name_of(cls: type) -> str:

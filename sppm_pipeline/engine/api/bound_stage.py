@@ -193,7 +193,8 @@ class BoundStage(Generic[Takes, Makes]):
             raise AttributeError(message)
 
     def _how_to_run(self) -> str:
-        needed = [port.name for port in signature_of(registry().get(self.name)).ports if not _waits_for_nothing(port)]
+        ports = signature_of(registry().get(self.name)).ports
+        needed = [port.name for port in ports if not (port.is_recipe or port.optional)]
         return f"call it with {', '.join(needed)}" if needed else f"give it a seed: sppm.{self.name}(..., seed=1)"
 
     def __call__(
@@ -337,10 +338,6 @@ class BoundStage(Generic[Takes, Makes]):
             finally:
                 if runs is not None:
                     runs.discard()
-
-
-def _waits_for_nothing(port: Port) -> bool:
-    return port.is_recipe or port.optional
 
 
 def _check_recipe(step: BoundStage[Any, Any]) -> None:

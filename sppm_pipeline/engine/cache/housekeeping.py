@@ -6,6 +6,7 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -24,23 +25,15 @@ AFTER_PRUNING = 0.8
 MAX_RECENTS = 2000
 """Configurations whose last run is remembered."""
 
-_UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
-_UNITS |= {"kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 
-
-def parse_size(text: str) -> int:
-    """Bytes from ``5GB``, ``800 MB``, ``2GiB`` or a bare number; else `ValueError`."""
-    stripped = text.strip().lower()
-    digits = stripped.rstrip("abcdefghijklmnopqrstuvwxyz ")
-    unit = stripped[len(digits) :].strip()
-    if unit not in _UNITS:
-        raise ValueError(f"expected a size such as 5GB or 800 MB, got {text!r}")
-    try:
-        size = float(digits) * _UNITS[unit]
-    except ValueError:
-        raise ValueError(f"expected a size such as 5GB or 800 MB, got {text!r}") from None
-    if not 0 <= size < 2**63:
-        raise ValueError(f"expected a size such as 5GB or 800 MB, got {text!r}")
+def parse_size(text: str, thousand: int = 1000) -> int:
+    """Bytes from ``5GB``, ``800 MB``, ``2GiB`` or a bare number, with powers of `thousand` for units without an i;
+    else `ValueError`.
+    """
+    found = re.fullmatch(r"(\d{1,19}(?:\.\d{1,9})?)\s*([kmgt]?)(i?)b?", text.strip().lower())
+    size = float(found[1]) * (1024 if found[3] else thousand) ** ("kmgt".find(found[2] or "-") + 1) if found else -1
+    if found is None or (found[3] and not found[2]) or not 0 <= size < 2**63:
+        raise ValueError(f"expected a size such as 800M or 2G, got {text[:40]!r}")
     return int(size)
 
 

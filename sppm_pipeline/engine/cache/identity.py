@@ -54,11 +54,9 @@ def code_of(cls: type[Stage], owner: Plugin) -> dict[str, Any]:
 
 def has_files(cls: type[Stage]) -> bool:
     """Whether files hold the code of a stage: what a notebook defines is in none, and may change unseen."""
-    return all(getattr(sys.modules.get(c.__module__), "__file__", None) for c in cls.__mro__[:-1] if not _standard(c))
-
-
-def _standard(cls: type) -> bool:
-    return cls.__module__.partition(".")[0] in sys.stdlib_module_names - {"__main__"}
+    modules = {c.__module__ for c in cls.__mro__[:-1]}
+    own = {name for name in modules if name.partition(".")[0] not in sys.stdlib_module_names - {"__main__"}}
+    return all(getattr(sys.modules.get(name), "__file__", None) for name in own)
 
 
 @functools.cache

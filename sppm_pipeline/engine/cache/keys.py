@@ -106,12 +106,8 @@ def _described(
             contents.setdefault(name, []).append([os.path.abspath(file), digest])
     handed: dict[str, Any] = {}
     for port, recipe in step.recipes.items():
-        inner = []
-        for sub in recipes[recipe]:
-            about = _described(sub, recipes, files, used)
-            if about is None:
-                return None
-            inner.append({"id": sub.id, **about, "inputs": dict(sub.inputs)})
+        if (inner := _described_recipe(recipe, recipes, files, used)) is None:
+            return None
         handed[port] = {"name": recipe, "stages": inner}
     described: dict[str, Any] = {
         "stage": stage.name,
@@ -126,15 +122,21 @@ def _described(
     return described
 
 
+def _described_recipe(
+    name: str, recipes: Mapping[str, Sequence[Step]], files: InputFiles, used: list[Step]
+) -> list[dict[str, Any]] | None:
+    """The stages of a recipe as `_described`; None if one of them depends on more."""
+    inner = [(step, _described(step, recipes, files, used)) for step in recipes[name]]
+    found = [{"id": step.id, **about, "inputs": dict(step.inputs)} for step, about in inner if about is not None]
+    return found if len(found) == len(inner) else None
+
+
 def recipe_key(name: str, recipes: Mapping[str, Sequence[Step]], path: tuple[str, ...], seed: int) -> str | None:
     """The key of what a recipe gives, of which `path` is that of its random numbers; None if it is unknown."""
     used: list[Step] = []
-    inner = []
-    for step in recipes[name]:
-        about = _described(step, recipes, InputFiles(), used)
-        if about is None:
-            return None
-        inner.append({"id": step.id, **about, "inputs": dict(step.inputs)})
+    inner = _described_recipe(name, recipes, InputFiles(), used)
+    if inner is None:
+        return None
     return key_of({
         "format": KEY_FORMAT, "recipe": inner, "path": list(path), "seed": seed,
         "environment": _environment(used),

@@ -169,7 +169,6 @@ def warn_of_failed_plugins(plugins: Plugins) -> None:
         print(f"sppm: warning: {plugin.error}", file=sys.stderr)
 
 
-_UNITS = {"": 1, "B": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 _NUMBER = re.compile(r"(\d{1,15}(?:\.\d{1,9})?)\s*([A-Za-z]*)")
 
@@ -196,13 +195,17 @@ def add_limits(parser: ArgumentParser) -> None:
     )
 
 
-def size(text: str) -> int:
-    """Bytes from ``1.5G``, ``800 MB``, ``2GiB``; units are powers of 1024."""
-    found = _NUMBER.fullmatch(text.strip())
-    unit = found[2].upper().removesuffix("B").removesuffix("I") if found else None
-    if found is None or unit not in _UNITS or not 1 <= float(found[1]) * _UNITS[unit] < 2**63:
-        raise ArgumentTypeError(f"expected a size such as 800M or 2G, got {text[:40]!r}")
-    return int(float(found[1]) * _UNITS[unit])
+def size(text: str, thousand: int = 1024, least: int = 1) -> int:
+    """Bytes from ``1.5G``, ``800 MB``, ``2GiB``; units are powers of 1024, or those without an i of `thousand`."""
+    from sppm_pipeline.engine.cache.housekeeping import parse_size
+
+    try:
+        found = parse_size(text, thousand)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
+    if found < least:
+        raise ArgumentTypeError(f"expected a size of {least} bytes or more, got {text!r}")
+    return found
 
 
 def seconds(text: str) -> float:
@@ -217,7 +220,7 @@ def seconds(text: str) -> float:
 def limits_of(args: Namespace) -> Iterator[None]:
     """Put the limits into the environment, where stages of this and of worker processes find them."""
     from sppm_pipeline.engine.process.budget import MEMORY
-    from sppm_pipeline.engine.process.containment import CONTRACT, STAGE_TIME
+    from sppm_pipeline.engine.process.containment import CONTRACT, STAGE_TIME, set_environment
 
     requested = {
         STAGE_TIME: repr(args.stage_time) if args.stage_time is not None else None,
@@ -229,8 +232,4 @@ def limits_of(args: Namespace) -> Iterator[None]:
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        set_environment(before)

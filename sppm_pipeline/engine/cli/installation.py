@@ -86,7 +86,6 @@ def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
 def _broken_alone(args: Namespace) -> Iterator[tuple[str, str]]:
     """Plugins whose import, hooks or exit handlers end or hang a process, each with what happened."""
     import subprocess
-    import sys
 
     from sppm_pipeline.engine.process.containment import import_seconds
 
@@ -173,7 +172,9 @@ def configure_doctor(parser: ArgumentParser) -> None:
 def execute_doctor(args: Namespace) -> int:
     """Print the findings; 1 if something is wrong."""
     failed = _compile() if args.kernels else []
-    findings = [*_python(), *_packages(), *_machine(), *_kernel_cache(), *failed, *_plugin_findings(args)]
+    version = f"{platform.python_version()} ({platform.python_implementation()})"
+    python = (sys.version_info >= (3, 11), "Python", version)
+    findings = [python, *_packages(), *_machine(), *_kernel_cache(), *failed, *_plugin_findings(args)]
     if args.json:
         print(json.dumps([{"ok": ok, "what": what, "found": found} for ok, what, found in findings], indent=1))
     else:
@@ -204,10 +205,6 @@ def _compile() -> list[Finding]:
         if lines:
             lines.close()
     return failed
-
-
-def _python() -> Iterator[Finding]:
-    yield sys.version_info >= (3, 11), "Python", f"{platform.python_version()} ({platform.python_implementation()})"
 
 
 def _packages() -> Iterator[Finding]:

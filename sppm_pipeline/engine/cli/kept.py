@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+
+from sppm_pipeline.engine.cli.arguments import size
 
 
 def configure_cache(parser: ArgumentParser) -> None:
@@ -16,17 +18,13 @@ def configure_cache(parser: ArgumentParser) -> None:
         "used for longest",
     )
     parser.add_argument("--cache", type=Path, metavar="DIR", help="folder of the cache")
-    parser.add_argument("--cap", type=_size, metavar="SIZE", help="prune to this size, for example 5GB; 0 removes all")
+    parser.add_argument(
+        "--cap",
+        type=lambda text: size(text, 1000, 0),
+        metavar="SIZE",
+        help="prune to this size, for example 5GB; 0 removes all",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-
-
-def _size(text: str) -> int:
-    from sppm_pipeline.engine.cache.housekeeping import parse_size
-
-    try:
-        return parse_size(text)
-    except ValueError as error:
-        raise ArgumentTypeError(str(error)) from None
 
 
 def execute_cache(args: Namespace) -> int:
@@ -47,9 +45,9 @@ def execute_cache(args: Namespace) -> int:
         match args.what:
             case "info":
                 entries = contents(store)
-                size = sum(entry.bytes for entry in entries)
-                found |= {"entries": len(entries), "bytes": size, "cap": cap}
-                text = f"{folder}: {len(entries)} results, {format_bytes(size)}; kept below {format_bytes(cap)}"
+                total = sum(entry.bytes for entry in entries)
+                found |= {"entries": len(entries), "bytes": total, "cap": cap}
+                text = f"{folder}: {len(entries)} results, {format_bytes(total)}; kept below {format_bytes(cap)}"
             case "verify":
                 damaged = damaged_entries(store)
                 code = 3 if damaged else 0

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,14 +49,23 @@ def configure_run(parser: ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
     parser.add_argument("--until", metavar="ID", help="stop after this stage")
     parser.add_argument(
-        "-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep, or workers of a long single run"
+        "-j",
+        "--jobs",
+        type=_integer(1, 4096),
+        default=1,
+        metavar="N",
+        help="runs of a sweep, or workers of a long single run",
     )
     parser.add_argument(
-        "--threads", type=_count, metavar="N", help="threads in all; the number of processors if omitted"
+        "--threads", type=_integer(1, 4096), metavar="N", help="threads in all; the number of processors if omitted"
     )
     parser.add_argument("--executor", metavar="NAME[:WHERE]", help="serial, threads, processes, or one from a plugin")
     parser.add_argument(
-        "--retries", type=_retries, metavar="N", default=2, help="runs again of work whose worker died; 2 if omitted"
+        "--retries",
+        type=_integer(0, 100),
+        metavar="N",
+        default=2,
+        help="runs again of work whose worker died; 2 if omitted",
     )
     parser.add_argument("--same-processor", action="store_true", help="refuse workers on another kind of processor")
     failing = parser.add_mutually_exclusive_group()
@@ -90,16 +99,13 @@ def configure_run(parser: ArgumentParser) -> None:
     )
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 4096:
-        raise ArgumentTypeError(f"expected an integer from 1 to 4096, got {text!r}")
-    return int(text)
+def _integer(low: int, high: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text) <= high:
+            raise ArgumentTypeError(f"expected an integer from {low} to {high}, got {text!r}")
+        return int(text)
 
-
-def _retries(text: str) -> int:
-    if not text.isdecimal() or int(text) > 100:
-        raise ArgumentTypeError(f"expected an integer from 0 to 100, got {text!r}")
-    return int(text)
+    return read
 
 
 def execute_run(args: Namespace) -> int:

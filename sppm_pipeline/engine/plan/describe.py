@@ -45,17 +45,6 @@ def _first_paragraph(text: str | None) -> str:
     return (text or "").split("\n\n")[0].replace("\n", " ").strip()
 
 
-def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
-    return [
-        {
-            "port": port.name,
-            "takes": "a recipe" if port.is_recipe else port_words(port),
-            "optional": port.optional,
-        }
-        for port in signature_of(cls).ports
-    ]
-
-
 def makes_words(cls: type[Stage]) -> str:
     """What a stage makes, in words; "nothing" for nothing."""
     signature = signature_of(cls)
@@ -70,7 +59,10 @@ def stage_data(cls: type[Stage], registry: Registry) -> dict[str, Any]:
     return {
         "name": cls.name,
         "purpose": purpose_of(cls),
-        "ports": _takes(cls),
+        "ports": [
+            {"port": p.name, "takes": "a recipe" if p.is_recipe else port_words(p), "optional": p.optional}
+            for p in signature_of(cls).ports
+        ],
         "makes": makes_words(cls),
         "options": [
             {
@@ -185,9 +177,7 @@ def explain_plan(plan: Plan, reasons: Mapping[str, tuple[bool, str]] | None = No
 
 
 def _explained(step: Step, path: str) -> list[str]:
-    cls = type(step.stage)
-    title = step.id if step.id == cls.name else f"{step.id} ({cls.name})"
-    lines = [f"  {title}: {purpose_of(cls)}"]
+    lines = [f"  {_title(step)}: {purpose_of(type(step.stage))}"]
     for port in step.signature.ports:
         if port.is_recipe:
             lines.append(f"      {port.name}: recipe {step.recipes.get(port.name, '(none)')}")

@@ -210,7 +210,8 @@ def _mounted_groups() -> Iterator[tuple[_Files, Path, Path]]:
             continue
         if files in groups:  # the first mount is enough
             path = groups.pop(files)
-            root, top = (_unescaped(word) for word in words[3:5])
+            # blanks are written as octal numbers
+            root, top = (re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), word) for word in words[3:5])
             yield files, _folder(path, root, Path(top)), Path(top)
 
 
@@ -223,11 +224,6 @@ def _folder(path: str, root: str, top: Path) -> Path:
     """Folder of a group; the top of what is mounted if the group is outside of it."""
     inner = os.path.relpath(path, root)
     return top if inner == "." or inner.startswith("..") else top / inner
-
-
-def _unescaped(word: str) -> str:
-    """A path of ``mountinfo``, in which blanks are written as octal numbers."""
-    return re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), word)
 
 
 def _cached(group: Path, files: _Files) -> int:

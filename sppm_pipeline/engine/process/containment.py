@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from sppm_pipeline.engine.process import interruption
@@ -102,6 +102,15 @@ def _seconds(variable: str) -> float | None:
     except ValueError:
         return None
     return seconds if seconds > 0 else None
+
+
+def set_environment(values: Mapping[str, str | None]) -> None:
+    """Set environment variables of this process, or remove those that are None."""
+    for name, value in values.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import os
 import queue
@@ -35,10 +34,6 @@ class SerialExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-def _serial(workers: int) -> Executor:
-    return SerialExecutor()
 
 
 def _threads(workers: int) -> Executor:
@@ -83,7 +78,7 @@ def _leave_after_parent() -> None:
 @hookimpl
 def sppm_executors() -> Mapping[str, Callable[[int], Executor]]:
     """The built-in executors."""
-    return {"serial": _serial, "threads": _threads, "processes": _processes}
+    return {"serial": lambda workers: SerialExecutor(), "threads": _threads, "processes": _processes}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +213,7 @@ def serve(
                 broken = error
                 break
             # the callback runs in a thread of the executor, so it only puts a number into a queue
-            futures[number].add_done_callback(functools.partial(_put_done, done, number))
+            futures[number].add_done_callback(lambda future, number=number: done.put(number))  # type: ignore[misc]
             while hear(0):  # of an executor that runs tasks at once, before the next one
                 pass
         workers = [process for process in _children() if process not in before]
@@ -233,10 +228,6 @@ def serve(
             future.cancel()
         pool.shutdown(wait=True)
     return broken, [process.exitcode for process in workers if process.exitcode is not None]
-
-
-def _put_done(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
-    done.put(number)
 
 
 def _children() -> list[Any]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, open_session
 from sppm_pipeline.engine.process.activity import Activity, of_run, overdue, running, share
-from sppm_pipeline.engine.process.containment import stage_seconds
+from sppm_pipeline.engine.process.containment import set_environment, stage_seconds
 from sppm_pipeline.engine.process.guard import guard
 from sppm_pipeline.engine.run.events import breaches
 from sppm_pipeline.engine.run.outputs import RECORD
@@ -99,7 +99,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         notes = Path(task["notes"])
         if (now := overdue(notes)) is not None:  # an executor may hand out again what has taken its worker down
             return ended_row(session, task, overdue_error(now)) | {"host": socket.gethostname()}
-        _adopt_limits(task["limits"])
+        set_environment(task["limits"])  # of this worker, which another machine may have started
         with contextlib.suppress(OSError):  # a file system without shared memory; then no guard can watch
             share(notes)
             if stage_seconds() is not None and hasattr(signal, "SIGKILL"):
@@ -121,45 +121,24 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     return result | {"host": socket.gethostname(), "warnings": warnings + result["warnings"]}
 
 
-def _adopt_limits(limits: Mapping[str, str | None]) -> None:
-    """Put the limits of the sweep into the environment of this worker, which another machine may have started."""
-    for name, value in limits.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
-
-
 def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
     """Entries of a row in the record of the sweep."""
+    stages = record.get("stages", ())
+    outputs = [output for stage in stages for output in stage.get("outputs", ())]
     return {
         "run": path.name,
         "params": {name: plain(entry.node) for name, entry in row.items()},
         "status": "done" if error is None else "failed",
         "error": error,
         "seconds": record.get("seconds"),
-        "warnings": _warnings(record),
-        "columns": numbers_of(record.get("stages", ())),
+        "warnings": [f"stage {one['id']!r}: {message}" for one in stages for message in one.get("warnings", ())],
+        "columns": numbers_of(stages),
         "units": {},
-        "files": _files(record),
+        # of a folder there is no single digest
+        "files": {output["path"]: output["sha256"] for output in outputs if "files" not in output},
         "record": record.get("sha256"),
         "breaches": breaches(record.get("audit")),
     }
-
-
-def _warnings(record: Mapping[str, Any]) -> list[str]:
-    """Warnings of all stages of a run."""
-    return [
-        f"stage {stage['id']!r}: {message}"
-        for stage in record.get("stages", ())
-        for message in stage.get("warnings", ())
-    ]
-
-
-def _files(record: Mapping[str, Any]) -> dict[str, str]:
-    """Digests of the files that a run wrote, by name; folders are left out."""
-    outputs = [output for stage in record.get("stages", ()) for output in stage.get("outputs", ())]
-    return {output["path"]: output["sha256"] for output in outputs if "files" not in output}
 
 
 def store_in(cache: Path | None) -> Store | None:

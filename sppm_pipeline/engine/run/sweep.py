@@ -60,7 +60,8 @@ def run_sweep(
     plan.until(until)
     with Recorder(plan, path, threads=options.threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
-        names = _row_names(len(rows))
+        digits = max(4, len(str(len(rows) - 1)))
+        names = [f"{i:0{digits}}" for i in range(len(rows))]
         found, stopped = _run_rows(session, path, names, options, until, monitor)
         found = movable(found, plan, path)
         # rows of an earlier, longer sweep would be taken for results of this one
@@ -111,12 +112,6 @@ def _table(columns: Mapping[str, Sequence[Any]], runs: Sequence[Mapping[str, Any
         for name in names
     }
     return Table({name: tuple(values) for name, values in columns.items()}, files)
-
-
-def _row_names(count: int) -> list[str]:
-    """Folders of the rows."""
-    digits = max(4, len(str(count - 1)))
-    return [f"{i:0{digits}}" for i in range(count)]
 
 
 def _run_rows(

@@ -44,7 +44,7 @@ class Driver:
 @contextlib.contextmanager
 def announced(path: Path, options: WorkerOptions, plugins: Plugins) -> Iterator[Driver]:
     """This process as a driver, with its tokens in the run directory and in the cache for as long as rows run."""
-    distributions = _distributions(plugins)
+    distributions = tuple(sorted({plugin.distribution for plugin in plugins.plugins if plugin.distribution}))
     tokens = [path / staging_name()]
     if options.cache is not None:  # the same sweep again takes the place of what a killed one has left there
         tokens.append(options.cache.resolve() / f"driver-{hashlib.sha256(str(path).encode()).hexdigest()[:16]}")
@@ -98,7 +98,7 @@ def _looked_at(driver: Driver) -> str:
                 hint="choose a run directory with -o, and a cache with --cache, on a file system that all share",
             )
     wanted = dict(driver.versions)
-    here = _versions(_distributions_named(wanted))
+    here = _versions(tuple(name.removeprefix(_PLUGIN) for name in wanted if name.startswith(_PLUGIN)))
     other = [
         f"{name} {here.get(name, 'not installed')} instead of {version}"
         for name, version in wanted.items()
@@ -124,14 +124,6 @@ def _versions(distributions: tuple[str, ...]) -> dict[str, str]:
     """Versions that results depend on besides the program."""
     plugins = {_PLUGIN + name: installed_version(name) or "not installed" for name in distributions}
     return environment(plugins=("sppm-pipeline", *distributions)) | plugins
-
-
-def _distributions(plugins: Plugins) -> tuple[str, ...]:
-    return tuple(sorted({plugin.distribution for plugin in plugins.plugins if plugin.distribution}))
-
-
-def _distributions_named(versions: dict[str, str]) -> tuple[str, ...]:
-    return tuple(name.removeprefix(_PLUGIN) for name in versions if name.startswith(_PLUGIN))
 
 
 class Kept(NamedTuple):

@@ -88,7 +88,7 @@ def hashin_shtrikman(phases: list[tuple[float, float, float]]) -> tuple[Interval
     ----------
     Hashin and Shtrikman 1963; in the form of Berryman 1980, with the moduli of the softest and the stiffest phase.
     """
-    present = [(fraction, *_bulk_and_shear(young, poisson)) for fraction, young, poisson in phases if fraction > 0]
+    present = [(f, e / (3 * (1 - 2 * nu)), e / (2 * (1 + nu))) for f, e, nu in phases if f > 0]
     bulks, shears = [bulk for _, bulk, _ in present], [shear for _, _, shear in present]
 
     def bulk(shear: float) -> float:
@@ -130,10 +130,6 @@ def bounds(stiffness: F64, phases: list[tuple[float, float, float]], slack: floa
         bulk.holds(mean.bulk_hill, slack),
         shear.holds(mean.shear_hill, slack),
     )
-
-
-def _bulk_and_shear(young: float, poisson: float) -> tuple[float, float]:
-    return young / (3 * (1 - 2 * poisson)), young / (2 * (1 + poisson))
 
 
 def _shifted_mean(terms: list[tuple[float, float]], shift: float) -> float:

@@ -196,14 +196,10 @@ def _of_stage(step: Step, place: str, at: Mapping[tuple[int, int], str]) -> Iter
             if (where.line, where.column) not in at:
                 continue
             key = at[where.line, where.column]
-            label = _label(name, written.node)
+            label = written.node.param or name
         instant = name if step.stage.name == "field.gaussian" and name in INSTANT else ""
         value = plain_option(getattr(step.stage, name))
         yield from _control(declared[name], key, step.address, label, value, written is not None, instant)
-
-
-def _label(name: str, node: Node) -> str:
-    return name if node.param is None else node.param
 
 
 def _of_preset(plan: Plan, recipe: str, place: str, registry: Registry) -> Iterator[Control]:

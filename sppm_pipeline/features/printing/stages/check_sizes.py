@@ -15,7 +15,7 @@ from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.stage import Context, Headline, Rejected, Stage, option
 
 if TYPE_CHECKING:
-    from sppm_pipeline.services.local_thickness import LimitSizes
+    pass
 
 MEASURES = {
     "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than the machine makes it"),
@@ -166,7 +166,9 @@ class CheckSizes(Stage):
                 half = local_thickness(coarse if number == 0 else 1 - coarse, periodic)
                 if described is not None and half.any():
                     found_limit = limit_sizes(thickness, half, (spacing, scale / (self.resolution // 2)))
-                    context.report(**{PEOPLE[name]: _for_people(found_limit)})
+                    mean, deviation, low, high, thinnest = found_limit
+                    sizes = {"mean": mean, "deviation": deviation, "between": [low, high], "thinnest": thinnest}
+                    context.report(**{PEOPLE[name]: sizes})
             if limits[small] is not None:
                 found[MEASURES[small].number] = share
                 context.report(**{f"{name}_limit_mm": limits[small]})
@@ -215,13 +217,6 @@ class CheckSizes(Stage):
                     f"the {name.replace('_', ' ')} measures {size:.3g} {unit}, less than what is printable "
                     f"({limit:g} mm)"
                 )
-
-
-def _for_people(sizes: LimitSizes) -> dict[str, Any]:
-    """Entry of the summary."""
-    return {
-        "mean": sizes.mean, "deviation": sizes.deviation, "between": [sizes.low, sizes.high], "thinnest": sizes.thinnest
-    }  # fmt: skip
 
 
 def _described(thickness: F32, spacing: float, limit: float | None) -> tuple[dict[str, Any] | None, float | None]:

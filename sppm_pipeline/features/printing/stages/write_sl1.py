@@ -151,11 +151,9 @@ class WriteSl1(PrinterWriter):
                 faded=faded, layer_mm=layer, density=job.resin.density_g_ml,
             )  # fmt: skip
             for width, height in THUMBNAILS:
-                yield f"thumbnail/thumbnail{width}x{height}.png", _rgba(thumbnail(layers, width, height))
+                picture = thumbnail(layers, width, height)
+            # with an opaque alpha channel, as the printer's own slicer writes it
+            opaque = np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)])
+            yield f"thumbnail/thumbnail{width}x{height}.png", png_of(opaque)
 
         write_archive(target, entries())
-
-
-def _rgba(picture: U8) -> bytes:
-    """A picture (h, w, 3) as a PNG file with an opaque alpha channel, as the printer's own slicer writes it."""
-    return png_of(np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)]))
