@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,84 +14,108 @@ from sppm_pipeline import Report, frozen, number, reports
 from sppm_pipeline.nouns import TEXT, Box, is_number
 from sppm_pipeline.pictures import NOTEBOOK_SIZE
 
-
-def check_transport(k: NDArray[np.float64], porosity: float, name: str, slack: float) -> None:
-    """Raise `ValueError` unless a tensor is finite, (3, 3), symmetric and not negative, and a porosity within 0 and 1;
-    eigenvalues may be below zero by `slack` times the largest entry.
-    """
-    if k.shape != (3, 3) or not np.isfinite(k).all():
-        raise ValueError(f"the {name} must be a finite 3 x 3 matrix, got shape {k.shape}")
-    largest = float(np.abs(k).max())
-    # effective tensors are symmetric by reciprocity; what is left of that is rounding
-    if np.abs(k - k.T).max() > 1e-6 * largest:
-        raise ValueError(f"the {name} is not symmetric")
-    if np.linalg.eigvalsh(k)[0] < -slack * largest:
-        raise ValueError(f"the {name} has a negative eigenvalue")
-    if not 0 <= porosity <= 1:
-        raise ValueError(f"the porosity must lie between 0 and 1, got {porosity}")
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics import Solved
 
 
 @dataclass(frozen=True, eq=False)
-class ConductivityReport(Report):
-    """Effective conductivity, or diffusivity, of a periodic cell, and how it was computed.
+class TransportReport(Report):
+    """A tensor of transport through a periodic cell, and how it was computed.
+
+    Attributes
+    ----------
+    k : (3, 3) float64
+    error : (3, 3) float64 or None
+        Error bar of `k` by refinement of the grid.
+    porosity : float
+        Fraction of void.
+    grid : (nx, ny, nz)
+    precision : str
+    iterations : tuple of 3 int
+    residuals, errors : tuple of 3 float
+        As in `StiffnessReport`; 0 along axes without a way through.
+    converged : bool
+    wraps : (3,) bool
+        Whether what is passed percolates along x, y, z, across faces of voxels.
+    warnings : tuple of str
+    """
+
+    tensor: ClassVar[str]
+    """Its name in messages."""
+
+    k: NDArray[np.float64] = field(metadata=number("#3.#3", error="error"), kw_only=True)
+    error: NDArray[np.float64] | None = field(default=None, metadata=number("#3.#3", optional=True), kw_only=True)
+    porosity: float = field(metadata=number(), kw_only=True)
+    grid: tuple[int, int, int] = field(metadata=number("#3"), kw_only=True)
+    precision: str = field(metadata=TEXT, kw_only=True)
+    iterations: tuple[int, ...] = field(metadata=number("#3"), kw_only=True)
+    residuals: tuple[float, ...] = field(metadata=number("#3"), kw_only=True)
+    errors: tuple[float, ...] = field(metadata=number("#3"), kw_only=True)
+    converged: bool = field(metadata=number(), kw_only=True)
+    wraps: tuple[bool, bool, bool] = field(metadata=number("#3"), kw_only=True)
+    warnings: tuple[str, ...] = field(default=(), metadata=TEXT, kw_only=True)
+
+    def __post_init__(self) -> None:
+        for name in ("k", "error") if self.error is not None else ("k",):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), np.float64)))
+
+    @staticmethod
+    def solver(solved: Sequence[Solved], precision: str) -> dict[str, Any]:
+        """The entries that say how the load cases were solved."""
+        return {
+            "precision": precision, "iterations": tuple(case.iterations for case in solved),
+            "residuals": tuple(float(case.residual) for case in solved),
+            "errors": tuple(min(float(case.error), 1.0) for case in solved),
+            "converged": all(case.converged for case in solved),
+        }  # fmt: skip
+
+    def slack(self) -> float:
+        """Part of the largest entry by which eigenvalues may lie below zero."""
+        return 1e-4
+
+    def check(self) -> None:
+        """A finite, symmetric matrix that is not negative, and a porosity between 0 and 1."""
+        if self.k.shape != (3, 3) or not np.isfinite(self.k).all():
+            raise ValueError(f"the {self.tensor} must be a finite 3 x 3 matrix, got shape {self.k.shape}")
+        largest = float(np.abs(self.k).max())
+        # effective tensors are symmetric by reciprocity; what is left of that is rounding
+        if np.abs(self.k - self.k.T).max() > 1e-6 * largest:
+            raise ValueError(f"the {self.tensor} is not symmetric")
+        if np.linalg.eigvalsh(self.k)[0] < -self.slack() * largest:
+            raise ValueError(f"the {self.tensor} has a negative eigenvalue")
+        if not 0 <= self.porosity <= 1:
+            raise ValueError(f"the porosity must lie between 0 and 1, got {self.porosity}")
+
+
+@dataclass(frozen=True, eq=False)
+class ConductivityReport(TransportReport):
+    """Effective conductivity, or diffusivity, of a periodic cell.
 
     Attributes
     ----------
     k : (3, 3) float64
         Mean flow over mean gradient, the unit of `bulk`; of two grids of a field, their limit.
-    error : (3, 3) float64 or None
-        Error bar of `k`, from two grids.
     of : str
         The conducting phase, "solid" or "void", the other one insulating; or "both".
     bulk : tuple of float
         Conductivity of the phase, or of each phase of the solid.
     fluid : float or None
         Conductivity of what fills the void, if both conduct.
-    porosity : float
-        Fraction of void.
     tortuosity : tuple of 3 floats or None
         Fraction times bulk over effective conductivity along x, y, z; None where nothing flows. With several conductors
         the sum of fractions times bulk.
-    grid : (nx, ny, nz)
     fractions : bool
         Whether voxels at the surface count by the fraction of them that conducts.
-    precision : str
-    iterations : tuple of 3 int
-    residuals, errors : tuple of 3 float
-        As in `StiffnessReport`.
-    converged : bool
-    wraps : (3,) bool
-        Whether the conductor percolates along x, y, z, across faces of voxels.
-    warnings : tuple of str
     """
 
+    tensor: ClassVar[str] = "conductivity"
     headline: ClassVar[tuple[str, ...]] = ("k.1.1", "k.2.2", "k.3.3", "tortuosity", "porosity")
 
-    k: NDArray[np.float64] = field(metadata=number("#3.#3", error="error"))
-    error: NDArray[np.float64] | None = field(default=None, metadata=number("#3.#3", optional=True), kw_only=True)
     tortuosity: tuple[float | None, ...] = field(metadata=number("#3"))
     of: str = field(metadata=TEXT)
     bulk: tuple[float, ...] = field(metadata=number("#6"))
     fluid: float | None = field(default=None, metadata=number(optional=True), kw_only=True)
-    porosity: float = field(metadata=number())
-    grid: tuple[int, int, int] = field(metadata=number("#3"))
     fractions: bool = field(metadata=number())
-    precision: str = field(metadata=TEXT)
-    iterations: tuple[int, ...] = field(metadata=number("#3"))
-    residuals: tuple[float, ...] = field(metadata=number("#3"))
-    errors: tuple[float, ...] = field(metadata=number("#3"))
-    converged: bool = field(metadata=number())
-    wraps: tuple[bool, bool, bool] = field(metadata=number("#3"))
-    warnings: tuple[str, ...] = field(default=(), metadata=TEXT)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
-        if self.error is not None:
-            object.__setattr__(self, "error", frozen(np.asarray(self.error, np.float64)))
-
-    def check(self) -> None:
-        """A finite, symmetric matrix that is not negative, and a porosity between 0 and 1."""
-        check_transport(self.k, self.porosity, "conductivity", 1e-4)
 
 
 DARCY = 9.869233e-13
@@ -99,8 +123,8 @@ DARCY = 9.869233e-13
 
 
 @dataclass(frozen=True, eq=False)
-class PermeabilityReport(Report):
-    """Permeability of the pores of a periodic cell, and how it was computed.
+class PermeabilityReport(TransportReport):
+    """Permeability of the pores of a periodic cell.
 
     Attributes
     ----------
@@ -124,22 +148,12 @@ class PermeabilityReport(Report):
         Area of the walls over the volume of the cell, in 1 / cell edge; None for images of whole voxels.
     slices : tuple of 3 arrays float32
         Speed in a middle plane along each axis (columns) and the next (rows), over the mean velocity; NaN in the solid.
-    grid : (nx, ny, nz)
-    precision : str
-    iterations : tuple of 3 int
-    residuals, errors : tuple of 3 float
-        As in `StiffnessReport`; 0 along axes without a way through.
-    converged : bool
-    wraps : (3,) bool
-        Whether the void percolates along x, y, z.
-    error : (3, 3) float64 or None
-        Error bar of `k` by refinement of the grid.
-    warnings : tuple of str
     """
 
+    tensor: ClassVar[str] = "permeability"
     headline: ClassVar[tuple[str, ...]] = ("k.1.1", "k.2.2", "k.3.3", "darcy_mean", "porosity")
 
-    k: NDArray[np.float64] = field(metadata=number("#3.#3", unit="cell^2", error="error"))
+    k: NDArray[np.float64] = field(metadata=number("#3.#3", unit="cell^2", error="error"), kw_only=True)
 
     @property
     @reports("k_m2.#3.#3", optional=True)
@@ -166,7 +180,6 @@ class PermeabilityReport(Report):
         return None if self.m2 is None else float(np.trace(self.m2)) / 3 / DARCY
 
     edge_mm: float | None = field(metadata=number(optional=True))
-    error: NDArray[np.float64] | None = field(default=None, metadata=number("#3.#3", optional=True), kw_only=True)
 
     @property
     @reports(optional=True)
@@ -177,7 +190,6 @@ class PermeabilityReport(Report):
             return None
         return float(np.abs(self.error).max()) / largest if largest > 0 else 0.0
 
-    porosity: float = field(metadata=number())
     pocket_share: float = field(metadata=number())
     thermal: float = field(metadata=number())
     viscous_tortuosity: tuple[float | None, ...] = field(metadata=number("#3"))
@@ -194,24 +206,14 @@ class PermeabilityReport(Report):
         return self.porosity**3 / (mean * surface**2) if surface and mean > 0 else None
 
     slices: tuple[NDArray[np.float32], ...]
-    grid: tuple[int, int, int] = field(metadata=number("#3"))
-    precision: str = field(metadata=TEXT)
-    iterations: tuple[int, ...] = field(metadata=number("#3"))
-    residuals: tuple[float, ...] = field(metadata=number("#3"))
-    errors: tuple[float, ...] = field(metadata=number("#3"))
-    converged: bool = field(metadata=number())
-    wraps: tuple[bool, bool, bool] = field(metadata=number("#3"))
-    warnings: tuple[str, ...] = field(default=(), metadata=TEXT)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
+        super().__post_init__()
         object.__setattr__(self, "slices", tuple(frozen(np.asarray(part, np.float32)) for part in self.slices))
-        if self.error is not None:
-            object.__setattr__(self, "error", frozen(np.asarray(self.error, np.float64)))
 
-    def check(self) -> None:
-        """A finite, symmetric tensor that is not negative, if the solver got so far, and a porosity between 0 and 1."""
-        check_transport(self.k, self.porosity, "permeability", 1e-3 if self.converged else math.inf)
+    def slack(self) -> float:
+        """Any, if the solver did not get far enough."""
+        return 1e-3 if self.converged else math.inf
 
     @classmethod
     def report_boxes(cls, summary: Mapping[str, Any], stage: str) -> list[Box]:

@@ -146,11 +146,8 @@ class HomogenizeConductivity(SidedHomogenizer):
         return ConductivityReport(
             k=found.conductivity, of=self.of, bulk=self._bulk(), fluid=self.fluid, porosity=cell.porosity,
             tortuosity=tuple(tortuosity(found.conductivity, float(k.mean(dtype=np.float64)))), grid=cell.shape,
-            fractions=cell.fraction is not None, precision=found.precision,
-            iterations=tuple(case.iterations for case in found.solved),
-            residuals=tuple(float(case.residual) for case in found.solved),
-            errors=tuple(min(float(case.error), 1.0) for case in found.solved),
-            converged=all(case.converged for case in found.solved), wraps=connected.wraps, warnings=tuple(warnings),
+            fractions=cell.fraction is not None, wraps=connected.wraps, warnings=tuple(warnings),
+            **ConductivityReport.solver(found.solved, found.precision),
         )  # fmt: skip
 
     def _leaks(self, source: ScalarField | Voxels, cell: VoxelCell, k: NDArray[Any]) -> list[str]:

@@ -109,11 +109,8 @@ class FlowHomogenizer(Homogenizer):
             thermal_tortuosity=_finite((found.thermal_tortuosity,))[0],
             hydraulic_tortuosity=_finite(found.hydraulic_tortuosity),
             surface=None if faces.surface is None else faces.surface * edge, slices=found.slices,
-            grid=faces.active[0].shape[::-1], precision=found.precision,
-            iterations=tuple(case.iterations for case in found.solved),
-            residuals=tuple(float(case.residual) for case in found.solved),
-            errors=tuple(min(float(case.error), 1.0) for case in found.solved),
-            converged=all(case.converged for case in found.solved), wraps=open_void.wraps, warnings=tuple(warnings),
+            grid=faces.active[0].shape[::-1], wraps=open_void.wraps, warnings=tuple(warnings),
+            **PermeabilityReport.solver(found.solved, found.precision),
         )  # fmt: skip
 
 
