@@ -260,26 +260,16 @@ def _first_moments(rows: I64, bounds: I32) -> tuple[np.int64, np.int64]:
 
 def convex_hull(runs: Runs) -> F64:
     """Corners of the convex hull of the pixels of a layer, counterclockwise, (n, 2), in pixels."""
+    from scipy.spatial import ConvexHull
+
     rows = np.flatnonzero(np.diff(runs.rows))
     low = runs.bounds[2 * runs.rows[rows]]
     high = runs.bounds[2 * runs.rows[rows + 1] - 1]
     # only the first and last pixel of a row can be on the hull; pixels count by their corners
     x = np.concatenate([low, low, high, high])
     y = np.concatenate([rows, rows + 1, rows, rows + 1])
-    points = np.unique(np.stack([x, y], 1), axis=0).tolist()  # by x, then by y
-    chains = []
-    for ordered in (points, points[::-1]):  # Andrew's monotone chain (1979)
-        chain: list[list[int]] = []
-        for p in ordered:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0:
-                chain.pop()
-            chain.append(p)
-        chains.append(chain[:-1])
-    return np.array(chains[0] + chains[1], np.float64)
-
-
-def _turn(a: list[int], b: list[int], c: list[int]) -> int:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    points = np.stack([x, y], 1).astype(np.float64)
+    return points[ConvexHull(points).vertices]
 
 
 def margin_inside(hull: F64, point: tuple[float, float]) -> float:
