@@ -376,7 +376,7 @@ def _usual_size(step: Step, given: Iterable[Any]) -> Size | None:
     size = sum_of(parts)
     if hasattr(stage, "resolution") and not size.voxels:
         grid = size.grid(stage.resolution)
-        size = replace(size, samples=grid.samples, sums=grid.sums, resident=grid.resident)
+        size = replace(size, samples=grid.samples, sums=grid.sums, resident=grid.resident, voxels=grid.samples)
     pixels = float(math.prod(stage.image_size)) if hasattr(stage, "image_size") else size.pixels
     return replace(size, pixels=pixels)
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, Headline, Length, Microstructure, Palette, Size, Stage, options
+from sppm_pipeline import Context, Headline, Length, Microstructure, Stage, options
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.flow.permeability import DARCY
 from sppm_pipeline.formats import extension_of
@@ -227,10 +227,6 @@ class WriteNetwork(Stage):
     path: str = options.write_path("network.csv", suffixes=(".csv", ".npz"))
     resolution: int = options.resolution(96, note="of the grid on which radii are measured", minimum=8, maximum=512)
     cell: Length | None = options.cell(None, note="if the cell has none yet, or another one is wanted")
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        grid = source.grid(self.resolution)
-        return Size(samples=grid.samples, sums=grid.sums, resident=grid.samples, tunnels=source.cell.tunnels)
 
     def run(self, context: Context, source: Microstructure) -> None:
         """Measure pores and throats, write the file and report the permeability."""

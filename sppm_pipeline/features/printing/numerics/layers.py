@@ -269,7 +269,7 @@ def convex_hull(runs: Runs) -> F64:
     x = np.concatenate([low, low, high, high])
     y = np.concatenate([rows, rows + 1, rows, rows + 1])
     points = np.stack([x, y], 1).astype(np.float64)
-    return points[ConvexHull(points).vertices]
+    return np.asarray(points[ConvexHull(points).vertices])
 
 
 def margin_inside(hull: F64, point: tuple[float, float]) -> float:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, DesignError, Headline, Palette, ScalarField, Size, Stage, Voxels, option, options
+from sppm_pipeline import Context, DesignError, Headline, ScalarField, Stage, Voxels, option, options
 from sppm_pipeline.engine.process.budget import require_memory
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport
 from sppm_pipeline.numerics import cell_centers
@@ -49,12 +49,6 @@ class MeasureStatistics(Stage):
         None, help="largest distance of the two-point curves; a quarter of the shortest side if omitted", unit="voxels",
         minimum=1, maximum=1024,
     )  # fmt: skip
-
-    def estimate(self, palette: Palette, source: Size) -> Size:
-        """All voxels, several times."""
-        grid = source if source.voxels else source.grid(self.resolution)
-        voxels = source.voxels or grid.samples
-        return Size(samples=grid.samples, sums=grid.sums, voxels=voxels, resident=voxels)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StatisticsReport:
         """Count."""
