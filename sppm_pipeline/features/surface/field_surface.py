@@ -194,6 +194,7 @@ class FieldSurface:
         from sppm_pipeline.features.surface.numerics.rims import split_rims
         from sppm_pipeline.method.part.crossings import NO_CROSSINGS
         from sppm_pipeline.services.mesh.closing import capped_marching_cubes_slabs
+        from sppm_pipeline.services.mesh.marching_cubes import marching_cubes_slabs
 
         origin, spacing, (nx, ny, nz) = self.grid
         part = self._cut_part
@@ -222,7 +223,8 @@ class FieldSurface:
         first = 0
         caps = self.caps and part is None
         no_kinds, no_vertices, no_volumes = np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0)
-        for vertices, faces in capped_marching_cubes_slabs(values(), 0.0, origin, spacing, axes=(caps,) * 3):
+        extract = capped_marching_cubes_slabs if caps else marching_cubes_slabs
+        for vertices, faces in extract(values(), 0.0, origin, spacing):
             field, domain, skin = (*planes[0], nothing, nothing)[:3]
             samples = Samples(self.grid, start, field, domain, skin, crossings)
             placed = place_vertices(vertices, samples)

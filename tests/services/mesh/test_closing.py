@@ -19,13 +19,10 @@ ORIGIN, SPACING = (0.3, -1.0, 2.0), (0.5, 0.25, 0.125)
 fixed = settings(derandomize=True, deadline=None, max_examples=30)
 
 
-@pytest.mark.parametrize("border", ["samples", "voxels"])
-def test_a_full_box(border: str) -> None:
+def test_a_full_box() -> None:
     field = np.full((4, 5, 6), -1, np.float32)
-    measures = measure_surface(*capped_marching_cubes(field, 0, ORIGIN, SPACING, border=border))
-    half = 0.0 if border == "samples" else 0.5
-    steps = np.array([5, 4, 3]) + 2 * half
-    low = np.array(ORIGIN) - half * np.array(SPACING)
+    measures = measure_surface(*capped_marching_cubes(field, 0, ORIGIN, SPACING))
+    steps, low = np.array([5, 4, 3]), np.array(ORIGIN)
     assert measures.low == pytest.approx(low, abs=1e-15)
     assert measures.high == pytest.approx(low + steps * SPACING, abs=1e-15)
     assert measures.volume == pytest.approx(np.prod(steps * SPACING), rel=1e-6)
@@ -37,31 +34,28 @@ def test_a_full_box(border: str) -> None:
 @given(
     seed=st.integers(0, 2**32 - 1),
     shape=st.tuples(st.integers(2, 7), st.integers(2, 7), st.integers(2, 66)),
-    border=st.sampled_from(["samples", "voxels"]),
 )
-def test_caps_close_noise_and_lie_in_the_border(seed: int, shape: tuple[int, int, int], border: str) -> None:
+def test_caps_close_noise_and_lie_in_the_border(seed: int, shape: tuple[int, int, int]) -> None:
     field = np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
     field[0, 0, 0] = -1
-    vertices, faces = capped_marching_cubes(field, 0, ORIGIN, SPACING, border=border)
+    vertices, faces = capped_marching_cubes(field, 0, ORIGIN, SPACING)
     measures = measure_surface(vertices, faces)
     assert measures.edges.closed
     assert measures.degenerate == 0
     assert len(np.unique(vertices, axis=0)) == len(vertices)
     assert measures.volume > 0
-    half = 0.0 if border == "samples" else 0.5
-    low = np.array(ORIGIN) - half * np.array(SPACING)
-    high = low + (np.array(shape[::-1]) - 1 + 2 * half) * SPACING
+    low = np.array(ORIGIN)
+    high = low + (np.array(shape[::-1]) - 1) * SPACING
     assert (vertices >= low).all()
     assert (vertices <= high + 1e-15).all()
 
 
 def test_manifold3d_accepts_the_caps() -> None:
     field = np.random.default_rng(4).standard_normal((9, 10, 11)).astype(np.float32)
-    for border in ("samples", "voxels"):
-        vertices, faces = capped_marching_cubes(field, border=border)
-        solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
-        assert solid.status() == manifold3d.Error.NoError
-        assert solid.volume() == pytest.approx(measure_surface(vertices, faces).volume, rel=1e-12)
+    vertices, faces = capped_marching_cubes(field)
+    solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
+    assert solid.status() == manifold3d.Error.NoError
+    assert solid.volume() == pytest.approx(measure_surface(vertices, faces).volume, rel=1e-12)
 
 
 def test_inside_the_box_a_cap_changes_nothing() -> None:
@@ -83,12 +77,12 @@ def test_solid_and_void_share_the_box() -> None:
 
 
 @fixed
-@given(cuts=st.lists(st.integers(0, 9), max_size=5), border=st.sampled_from(["samples", "voxels"]))
-def test_slabs_give_the_bytes_of_the_whole(cuts: list[int], border: str) -> None:
+@given(cuts=st.lists(st.integers(0, 9), max_size=5))
+def test_slabs_give_the_bytes_of_the_whole(cuts: list[int]) -> None:
     field = np.random.default_rng(9).standard_normal((9, 4, 6)).astype(np.float32)
-    whole = capped_marching_cubes(field, 0.1, ORIGIN, SPACING, border=border)
+    whole = capped_marching_cubes(field, 0.1, ORIGIN, SPACING)
     slabs = (field[a:b] for a, b in pairwise([0, *sorted(cuts), 9]))
-    pieces = list(capped_marching_cubes_slabs(slabs, 0.1, ORIGIN, SPACING, border=border))
+    pieces = list(capped_marching_cubes_slabs(slabs, 0.1, ORIGIN, SPACING))
     for which in (0, 1):
         assert np.concatenate([piece[which] for piece in pieces]).tobytes() == whole[which].tobytes()
 
@@ -99,31 +93,16 @@ def test_more_planes_than_are_padded_at_once() -> None:
     assert np.array_equal(np.concatenate([v for v, _ in once]), capped_marching_cubes(field)[0])
 
 
-def test_uncapped_axes_stay_open_and_meet_the_next_cell() -> None:
-    cell = np.random.default_rng(12).standard_normal((6, 6, 6)).astype(np.float32)
-    field = wrapped(cell)
-    vertices, faces = capped_marching_cubes(field, axes=(False, True, False))
-    edges = measure_surface(vertices, faces).edges
-    assert edges.boundary > 0
-    assert edges.consistent
-    for axis in (0, 2):
-        low, high = (vertices[vertices[:, axis] == value] for value in (0.0, 6.0))
-        keep = [other for other in range(3) if other != axis]
-        assert len(low) > 0
-        assert {tuple(v) for v in low[:, keep].tolist()} == {tuple(v) for v in high[:, keep].tolist()}
-
-
 def test_wrapped_repeats_the_first_planes() -> None:
     field = np.random.default_rng(13).standard_normal((3, 4, 5)).astype(np.float32)
     assert np.array_equal(wrapped(field), np.pad(field, (0, 1), mode="wrap"))
 
 
-@pytest.mark.parametrize("border", ["samples", "voxels"])
-def test_a_mirrored_field_has_the_mirrored_caps(border: str) -> None:
+def test_a_mirrored_field_has_the_mirrored_caps() -> None:
     field = np.random.default_rng(14).standard_normal((5, 6, 7)).astype(np.float32)
-    vertices = capped_marching_cubes(field, border=border)[0]
+    vertices = capped_marching_cubes(field)[0]
     for axis in range(3):
-        mirrored = capped_marching_cubes(np.ascontiguousarray(np.flip(field, 2 - axis)), border=border)[0]
+        mirrored = capped_marching_cubes(np.ascontiguousarray(np.flip(field, 2 - axis)))[0]
         mirrored[:, axis] = field.shape[2 - axis] - 1 - mirrored[:, axis]
         assert {tuple(v) for v in mirrored.round(9).tolist()} == {tuple(v) for v in vertices.round(9).tolist()}
 
@@ -133,8 +112,6 @@ def test_no_slabs_no_mesh() -> None:
 
 
 def test_wrong_arguments() -> None:
-    with pytest.raises(ValueError, match="border"):
-        capped_marching_cubes(np.zeros((2, 2, 2), np.float32), border="edges")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="2 x 2 x 2"):
         capped_marching_cubes(np.zeros((2, 1, 2), np.float32))
 
@@ -150,7 +127,7 @@ def test_counts_from_runs_are_those_of_the_mesh(capped: bool, threads: int, shap
         keep = random.random(runs.n_runs) < 0.8
         clear_runs(runs.rows, runs.bounds, keep, solid.view(np.uint8))
         field = np.where(solid, np.float32(-1), np.float32(1))
-        vertices, faces = capped_marching_cubes(field, axes=(capped,) * 3)
+        vertices, faces = (capped_marching_cubes if capped else marching_cubes)(field)
         found = count_mesh(runs, keep, capped, threads)
         assert (found.vertices, found.faces) == (len(vertices), len(faces))
         if solid.any():
