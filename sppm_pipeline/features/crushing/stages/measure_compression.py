@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import ConfigError, Context, DesignError, Headline, Stage, Table, option, options
+from sppm_pipeline import ConfigError, Context, DesignError, Headline, Palette, Size, Stage, Table, option, options
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.numerics.compression import Measure, Specimen, measures, work_ratio
 
@@ -48,6 +48,9 @@ class MeasureCompression(Stage):
     def check_options(self) -> None:
         """A plateau with a beginning and an end."""
         check_plateau(self.plateau)
+
+    def estimate(self, palette: Palette, curve: Size) -> Size:
+        return Size()
 
     def run(self, context: Context, curve: CompressionCurve) -> Table:
         """Measure."""
