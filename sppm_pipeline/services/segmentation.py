@@ -21,16 +21,16 @@ def labels_of(values: NDArray[Any]) -> NDArray[Any] | None:
     return found
 
 
-def otsu(values: NDArray[Any], bins: int = 1024) -> float:
+def otsu(values: NDArray[Any]) -> float:
     """The threshold that makes the two classes of gray values as different as possible; itself in the upper one.
 
-    `bins` are those of the histogram. ValueError if all values, which are finite, are equal. Otsu 1979, "A threshold
+    ValueError if all values, which are finite, are equal. Otsu 1979, "A threshold
     selection method from gray-level histograms".
     """
     low, high = float(values.min()), float(values.max())
     if not high > low:
         raise ValueError("an image of one value has no two classes")
-    counts, edges = np.histogram(values, bins, (low, high))
+    counts, edges = np.histogram(values, 1024, (low, high))
     middle = (edges[:-1] + edges[1:]) / 2
     below = np.cumsum(counts)[:-1].astype(np.float64)
     above = counts.sum() - below

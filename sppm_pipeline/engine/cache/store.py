@@ -152,7 +152,8 @@ class Store:
         without it an entry that a power cut damages is noticed by its digests. Raises `OSError` if there is no space or
         permission, `NotStorable` if the value can't be written.
         """
-        fresh = self._fresh_folder()
+        fresh = self._staging_folder() / secrets.token_hex(8)
+        fresh.mkdir()
         try:
             whole = {"format": FORMAT, "key": key, **manifest, "value": None, "outputs": None}
             if value is not None:
@@ -220,11 +221,6 @@ class Store:
             return None
 
     # --- staging of what is not ready yet ---
-
-    def _fresh_folder(self) -> Path:
-        folder = self._staging_folder() / secrets.token_hex(8)
-        folder.mkdir()
-        return folder
 
     def _staging_folder(self) -> Path:
         """This object's folder for unfinished entries; its lock shows others that it is in use."""

@@ -103,7 +103,8 @@ def _stage_lines(cls: type[Stage], word: str, imported: dict[str, set[str]]) -> 
     if not makes:
         writes = any(option.spec.output for option in options_of(cls).values())
         makes = "Any" if signature.as_recipe else "list[Path]" if writes else "dict[str, Any]"
-    options = [_option(option) for option in options_of(cls).values()]
+    declared = options_of(cls).values()
+    options = [f"{o.name}: {_option_type(o.kind, o)}{'' if o.required else ' = ...'}" for o in declared]
     recipes = [port for port in signature.ports if port.is_recipe]
     recipe = ["recipe: _Recipe | None = ..."] if recipes else []
     step = f"BoundStage[{taken}, {makes}]"
@@ -152,11 +153,6 @@ def _named(kind: type, imported: dict[str, set[str]]) -> str:
 def _port_type(port: Port, imported: dict[str, set[str]]) -> str:
     words = " | ".join(_named(one, imported) for one in port.types)
     return f"{words} | Sequence[{words}]" if port.many else words
-
-
-def _option(option: Option) -> str:
-    words = _option_type(option.kind, option)
-    return f"{option.name}: {words}" if option.required else f"{option.name}: {words} = ..."
 
 
 def _option_type(kind: Any, option: Option) -> str:

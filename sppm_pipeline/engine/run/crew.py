@@ -207,7 +207,8 @@ class WorkerPool:
         """New workers, and all that the old ones had not finished."""
         self._stop()
         # results that had arrived are kept
-        left = [job for job in waiting if not _is_done(job)]
+        futures = [(job, job.future) for job in waiting]
+        left = [job for job, one in futures if not (one and one.done() and not one.cancelled() and not one.exception())]
         self._count(left, error)
         for job in left:
             self._submit(job)
@@ -256,8 +257,3 @@ def min_samples(executor: str | None, estimate: PlanEstimate) -> float:
 
 
 _END: Any = object()
-
-
-def _is_done(job: _Job) -> bool:
-    future = job.future
-    return future is not None and future.done() and not future.cancelled() and future.exception() is None

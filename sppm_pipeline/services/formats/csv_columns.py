@@ -48,7 +48,7 @@ def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> F64
         separator = next((mark for mark in (";", "\t", ",") if mark in line), None)
         found = [word.strip().strip('"').lower() for word in (line.split(separator) if separator else line.split())]
         places = [_place(path.name, found, name) for name in names]
-        converters: Any = dict.fromkeys(places, _with_gaps) if gaps else None
+        converters: Any = dict.fromkeys(places, lambda text: float(text) if text.strip() else np.nan) if gaps else None
         try:
             with warnings.catch_warnings():  # of lines without data
                 warnings.simplefilter("ignore")
@@ -67,10 +67,6 @@ def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> F64
             f"{path.name} has more than {MAX_ROWS} rows", hint="average some of them, or make an image of them"
         )
     return rows
-
-
-def _with_gaps(text: str) -> float:
-    return float(text) if text.strip() else np.nan
 
 
 def _place(file: str, found: list[str], name: str) -> int:

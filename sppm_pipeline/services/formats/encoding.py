@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.services.arrays import F32, F64, I32, U8
+from sppm_pipeline.services.arrays import F64, I32, U8
 from sppm_pipeline.services.jit.compiled import Intrinsic, jit
 from sppm_pipeline.services.paging import blocks, release
 from sppm_pipeline.services.threads import ordered_map
@@ -73,12 +73,6 @@ def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Wr
     if not sound:
         raise ValueError(f"faces name vertices {faces.min()} to {faces.max()} of {points.shape[0]}")
     return Written(points, np.ascontiguousarray(faces, np.int32), extreme)
-
-
-def within_float32(mesh: Written, format_name: str) -> F32:
-    """The coordinates rounded to float32; see `require_float32`."""
-    require_float32(mesh, format_name)
-    return mesh.points.astype(np.float32, copy=False)
 
 
 def require_float32(mesh: Written, format_name: str) -> None:

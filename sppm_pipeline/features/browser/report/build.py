@@ -231,7 +231,10 @@ def _context(
         "facts": _facts(record), "audit": record.get("audit"),
         "boxes": [box for section in sections for box in section.boxes]
         + (boxes(record, stages, view_head, kinds) if sweep is None else sweep["boxes"]),
-        "warnings": _warnings(record, stages), "view": view_head, "still": still,
+        "warnings": [
+            (str(one.get("id", "")), str(said)) for one in ({"warnings": record.get("warnings", ())}, *stages)
+            for said in one.get("warnings", ())
+        ], "view": view_head, "still": still,
         "layers": None if layers is None else _layers(layers, view_head),
         "layers_head": None if layers is None else json_block(layers.head()), "charts": charts,
         "sections": shown_sections, "pictures": pictures,
@@ -279,11 +282,6 @@ def _facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("configuration", Path(str(record["file"])).name),
     ]
     return [*facts, ("until", str(record["until"]))] if record.get("until") else facts
-
-
-def _warnings(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    own = [("", str(message)) for message in record.get("warnings", ())]
-    return own + [(str(s["id"]), str(message)) for s in stages for message in s.get("warnings", ())]
 
 
 def _stages(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

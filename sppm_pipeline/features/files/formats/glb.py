@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import DesignError, InputError
 from sppm_pipeline.features.files.formats.gltf import Entry, read_document, read_meshes
 from sppm_pipeline.services.arrays import F32, F64, I32
-from sppm_pipeline.services.formats.encoding import as_written, in_blocks, little_endian, within_float32
+from sppm_pipeline.services.formats.encoding import as_written, in_blocks, little_endian, require_float32
 from sppm_pipeline.services.formats.mesh_arrays import (
     IDENTITY,
     MAX_PLACED,
@@ -51,7 +51,7 @@ def encode(
     beyond float32.
     """
     mesh = as_written(vertices, faces)
-    within_float32(mesh, "GLB")
+    require_float32(mesh, "GLB")
     points, triangles = _turned(mesh.points / _METER), mesh.faces
     arrays: list[NDArray[Any]] = [triangles, points]
     accessors: list[dict[str, Any]] = [

@@ -85,9 +85,6 @@ class HomogenizeConductivity(SidedHomogenizer):
     def _bulk(self) -> tuple[float, ...]:
         return per_phase(self.bulk)
 
-    def _resolutions(self, *, is_image: bool) -> list[int]:
-        return grids_below(self.resolution, self.grids or (1 if is_image else 2))
-
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Three potentials, their work space for each load case in progress, conductivities."""
         return 4 * (3 + 6 * min(threads, 3) + 6)
@@ -96,7 +93,7 @@ class HomogenizeConductivity(SidedHomogenizer):
         """Solve three load cases, on the coarser grid first."""
         source = self.sided(context, source)
         self.check_image(context, source, void=self.of == "void")
-        counts = self._resolutions(is_image=isinstance(source, Voxels))
+        counts = grids_below(self.resolution, self.grids or (1 if isinstance(source, Voxels) else 2))
         if len(counts) == 1:
             return self.conductivity_of(context, source)
         counts, reports, limit = refined(
