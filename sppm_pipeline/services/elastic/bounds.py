@@ -107,16 +107,14 @@ def hashin_shtrikman(phases: list[tuple[float, float, float]]) -> tuple[Interval
     )
 
 
-def bounds(stiffness: F64, phases: list[tuple[float, float, float]], slack: float = 1e-6) -> Bounds:
-    """All bounds, and whether `stiffness` keeps to them. See `voigt` for `phases`.
+SLACK = 1e-6
+"""Violations up to this part of the upper bound are rounding of the solver."""
 
-    Parameters
-    ----------
-    slack : float
-        Violations up to this part of the upper bound are rounding.
-    """
+
+def bounds(stiffness: F64, phases: list[tuple[float, float, float]]) -> Bounds:
+    """All bounds, and whether `stiffness` keeps to them. See `voigt` for `phases`."""
     upper, lower = voigt(phases), reuss(phases)
-    room = slack * float(np.linalg.norm(mandel(upper)))
+    room = SLACK * float(np.linalg.norm(mandel(upper)))
     below = np.linalg.eigvalsh(mandel(upper - stiffness))[0] >= -room
     above = np.linalg.eigvalsh(mandel(stiffness - lower))[0] >= -room
     bulk, shear = hashin_shtrikman(phases)
@@ -127,8 +125,8 @@ def bounds(stiffness: F64, phases: list[tuple[float, float, float]], slack: floa
         bool(below and above),
         bulk,
         shear,
-        bulk.holds(mean.bulk_hill, slack),
-        shear.holds(mean.shear_hill, slack),
+        bulk.holds(mean.bulk_hill, SLACK),
+        shear.holds(mean.shear_hill, SLACK),
     )
 
 

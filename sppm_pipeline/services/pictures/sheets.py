@@ -162,8 +162,6 @@ def layer_sheet(
     layers: Sequence[ArrayLike],
     labels: Sequence[str] | None = None,
     *,
-    columns: int | None = None,
-    title: str = "",
     width: int = 320,
     pixel: tuple[float, float] = (1.0, 1.0),
     solid: Color = _SOLID,
@@ -194,7 +192,7 @@ def layer_sheet(
         share = gray[..., None] / 255.0
         mixed = share * np.array(solid) + (1.0 - share) * np.array(void)
         pictures.append(np.rint(mixed).astype(np.uint8))
-    return contact_sheet(pictures, labels, columns=columns, title=title, background=_AROUND_LAYERS)
+    return contact_sheet(pictures, labels, background=_AROUND_LAYERS)
 
 
 def colors_of(values: F64, low: float, high: float) -> U8:
