@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.capacity import box_capacity
-from sppm_pipeline.method.sampling.cell_list import add_points, empty_cell_list, new_stream
+from sppm_pipeline.method.sampling.cell_list import new_stream
 from sppm_pipeline.method.sampling.darts import throw
-from sppm_pipeline.method.sampling.faces import FILLED, face_counts, throw_in_turn
-from sppm_pipeline.method.sampling.many import patterns_apart
-from sppm_pipeline.services.arrays import F64, I64, Bools, distinct
+from sppm_pipeline.method.sampling.faces import FILLED, face_counts, patterns_in_turn
+from sppm_pipeline.method.sampling.many import faces_apart
+from sppm_pipeline.services.arrays import F64, Bools, distinct
 
 MAX_GAP = math.sqrt(3.0)
 """Widest distance of two sites, spacings: what keeps one spacing from both lies half a spacing away from the edge."""
@@ -43,7 +43,6 @@ OCCUPIED, ON_FACE, STRIP, MET = 1.031, 0.69, 1.5, 0.2
 
 MAX_TOGETHER = 16
 """Colors thrown against each other; more patterns keep a margin that makes them independent."""
-_ATTEMPTS = 20
 
 
 REJECTED, SWEEPS = 1000, 50
@@ -192,9 +191,15 @@ def homogeneous_faces(
     wanted = face_counts(max(0, round(inside)), max(colors))
     everywhere = distinct(np.concatenate(sites), axis=0)
     if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1:
-        thrown = _together(rng, wanted, spacing, colors, everywhere)
+        thrown = patterns_in_turn(rng, wanted, spacing, spacing / 2 if max(colors) > 1 else 0.0, everywhere)
     else:
-        thrown = _apart(rng, wanted, spacing, colors, everywhere, threads)
+        streams = [np.zeros(count, np.uint64) for count in colors]
+        for own, counts in zip(streams, wanted, strict=True):
+            used = counts[: len(own)] > 0
+            # a pattern without pores draws no number
+            own[used] = new_stream(rng, int(used.sum()))
+        border = spacing / math.sqrt(2.0)
+        thrown = faces_apart(streams, wanted, spacing, border, obstacles=everywhere, threads=threads)
     return [
         [np.concatenate([sites[axis][which], pores]) for which, pores in zip(chosen[axis], thrown[axis], strict=True)]
         for axis in range(3)
@@ -236,46 +241,3 @@ def _sites_by_owner(rng: np.random.Generator, spacing: float) -> list[F64]:
         owned.append(np.zeros((len(places), 3)))
         owned[axis][:, along] = places
     return owned
-
-
-def _together(
-    rng: np.random.Generator, wanted: I64, spacing: float, colors: tuple[int, int, int], sites: F64
-) -> list[list[F64]]:
-    """Patterns in turn, each clear of all sites and of the patterns of the two other axes."""
-    stream, rows, first = new_stream(rng), int(wanted.sum()), len(sites)
-    best = 0
-    for _ in range(_ATTEMPTS):
-        cells = empty_cell_list(rows + first, spacing, np.zeros(3), np.ones(3), (True, True, True))
-        add_points(cells, sites, -1, 0)
-        placed = int(throw_in_turn(cells, stream, spacing / 2 if max(colors) > 1 else 0.0, wanted).sum())
-        if placed == rows:
-            found, family, member = (a[first : first + rows] for a in (cells.points, cells.family, cells.member))
-            return [[found[(family == axis) & (member == k)] for k in range(colors[axis])] for axis in range(3)]
-        best = max(best, placed)
-    raise DesignError(
-        f"only {best} of {rows} face pores fit with a spacing of {spacing:.6g} beside those of the edges",
-        hint="ask for fewer pores or a smaller spacing or share, or take `faces_margin: paper`",
-    )
-
-
-def _apart(
-    rng: np.random.Generator, wanted: I64, spacing: float, colors: tuple[int, int, int], sites: F64, threads: int
-) -> list[list[F64]]:
-    """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
-    border = spacing / math.sqrt(2.0)
-    if border >= 0.5:
-        raise DesignError(
-            f"this many face patterns keep {border:.4g} cell sizes from the border, which leaves no face",
-            hint="choose a smaller spacing",
-        )
-    patterns = []
-    for axis in range(3):
-        low, high = np.full(3, border), np.full(3, 1.0 - border)
-        low[axis] = high[axis] = 0.0
-        # a pattern without pores draws no number
-        streams = np.zeros(colors[axis], np.uint64)
-        thrown = wanted[axis, : colors[axis]] > 0
-        streams[thrown] = new_stream(rng, int(thrown.sum()))
-        counts = wanted[axis, : colors[axis]]
-        patterns.append(patterns_apart(streams, counts, spacing, low, high, obstacles=sites, threads=threads))
-    return patterns

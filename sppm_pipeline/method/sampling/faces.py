@@ -21,7 +21,13 @@ import numpy as np
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.method.sampling.capacity import box_capacity, check_capacity, face_capacity
-from sppm_pipeline.method.sampling.cell_list import CellList, empty_cell_list, new_stream, next_uniform
+from sppm_pipeline.method.sampling.cell_list import (
+    CellList,
+    add_points,
+    empty_cell_list,
+    new_stream,
+    next_uniform,
+)
 from sppm_pipeline.services.arrays import F64, I64, U64
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -75,6 +81,7 @@ def split_between_faces_and_interior(
 
 # Darts a pore before a list of active voxels is made for it; both ways are exact, this only balances their cost.
 _DARTS = 150
+_ATTEMPTS = 20
 
 
 def face_counts(total: int, colors: int) -> I64:
@@ -131,83 +138,56 @@ def throw_in_turn(cells: CellList, stream: U64, margin: float, wanted: I64) -> I
 
 
 def mirrored_faces(
-    rng: np.random.Generator,
-    count_per_face: int | None,
-    spacing: float,
-    colors: int = 1,
-    *,
-    margin: float | None = None,
-    total: int | None = None,
-    attempts: int = 20,
+    rng: np.random.Generator, total: int, spacing: float, colors: int = 1, margin: float | None = None
 ) -> list[list[F64]]:
     """Throw the pore patterns of the faces of a cell, or of a set of cells with colored faces.
 
-    The counts are `count_per_face` for each pattern, or `total` for the three faces of a cell, spread by `face_counts`.
-    Patterns keep `margin` < 1/2 from the border of the face: 0 by default for one color, where the pattern repeats in
-    its plane, and half the spacing for several, the least that keeps faces of different colors apart (ValueError
-    below). One 64-bit number is drawn from `rng`; all patterns are thrown again up to `attempts` times when one is
-    full.
+    The three faces of a cell get `total` pores, spread by `face_counts`, and patterns keep `margin` < 1/2 from the
+    border of the face: by default 0 for one color, where the pattern repeats in its plane, and half the spacing for
+    several, the least that keeps faces of different colors apart. One 64-bit number is drawn from `rng`.
 
     Returns, by axis and color, (count, 3) positions in cell sizes with 0 along the pattern's axis. Raises DesignError
-    when the counts exceed the capacity of a face or were reached in no attempt, with the best total and a realistic
-    spacing.
+    if the spacing leaves no face, or a face does not hold its pores.
     """
-    if (count_per_face is None) == (total is None):
-        raise ValueError("give either count_per_face or total")
-    if colors < 1:
-        raise ValueError(f"colors must be at least 1, got {colors}")
     if not 0.0 < spacing <= 1.0:
         raise DesignError(f"the spacing of face pores must lie in (0, 1] cell sizes, got {spacing}")
-    border = (0.0 if colors == 1 else spacing / 2.0) if margin is None else float(margin)
-    if not 0.0 <= border < 0.5:
-        if margin is None:
-            raise DesignError(
-                f"with {colors} face colors the face pores keep {border:.4g} from the border, which leaves no face",
-                hint="choose a spacing below 1 cell size",
-            )
-        raise ValueError(f"margin must lie in [0, 0.5), got {margin}")
-    if colors > 1 and border < spacing / 2.0:
-        raise ValueError(
-            f"with {colors} colors the margin must be at least half the spacing ({spacing / 2.0:.6g}), got {margin}: "
-            "faces of different colors meet at the edges"
+    border = (0.0 if colors == 1 else spacing / 2.0) if margin is None else margin
+    if border >= 0.5:
+        raise DesignError(
+            f"with {colors} face colors the face pores keep {border:.4g} from the border, which leaves no face",
+            hint="choose a spacing below 1 cell size",
         )
-    if count_per_face is not None:
-        wanted = np.full((3, colors), count_per_face, dtype=np.int64)
-    else:
-        assert total is not None
-        wanted = face_counts(total, colors) if total >= 0 else np.full((3, colors), -1, dtype=np.int64)
-    if wanted.min() < 0:
-        raise DesignError("the number of face pores must be >= 0")
+    wanted = face_counts(total, colors)
     edge = 1.0 - 2.0 * border
     check_capacity(int(wanted.max()), spacing, (edge, edge), periodic=True, what="face of a cell")
-    return _thrown(rng, wanted, spacing, border, max(1, attempts))
+    return patterns_in_turn(rng, wanted, spacing, border, np.zeros((0, 3)))
 
 
-def _thrown(rng: np.random.Generator, wanted: I64, spacing: float, margin: float, attempts: int) -> list[list[F64]]:
-    stream = new_stream(rng)
-    rows = int(wanted.sum())
-    corner = np.zeros(3)
+def patterns_in_turn(
+    rng: np.random.Generator, wanted: I64, spacing: float, margin: float, sites: F64
+) -> list[list[F64]]:
+    """Patterns of `wanted` (3, colors) pores, clear of `sites` (k, 3) and of the patterns of the two other axes.
+
+    All are thrown again when one is full; the DesignError after some attempts has the best total.
+    """
+    stream, rows, first = new_stream(rng), int(wanted.sum()), len(sites)
     best = throws = 0
-    while throws < attempts:
+    # as in `throw`: beyond five standard deviations more attempts are futile
+    while throws < _ATTEMPTS and (not throws or rows - best <= 1.5 * math.sqrt(rows)):
         throws += 1
-        cells = empty_cell_list(rows, spacing, corner, corner + 1.0, (True, True, True))
+        cells = empty_cell_list(rows + first, spacing, np.zeros(3), np.ones(3), (True, True, True))
+        add_points(cells, sites, -1, 0)
         placed = int(throw_in_turn(cells, stream, margin, wanted).sum())
         if placed == rows:
-            return [
-                [
-                    cells.points[:rows][(cells.family[:rows] == axis) & (cells.member[:rows] == color)]
-                    for color in range(wanted.shape[1])
-                ]
-                for axis in range(3)
-            ]
+            found, family, member = (a[first : first + rows] for a in (cells.points, cells.family, cells.member))
+            return [[found[(family == axis) & (member == k)] for k in range(wanted.shape[1])] for axis in range(3)]
         best = max(best, placed)
-        # As in `throw`: beyond five standard deviations more attempts are futile.
-        if rows - best > 1.5 * math.sqrt(rows):
-            break
     per_face = best / wanted.size
     raise DesignError(
         f"only {best} of {rows} face pores fit with a spacing of {spacing:.6g} ({wanted.shape[1]} colors, "
-        f"{throws} throws, each until no free spot was left): about {per_face:.1f} on each face",
+        f"{throws} throws, each until no free spot was left): about {per_face:.1f} on each face"
+        + (", beside those of the edges" if first else ""),
         hint=f"ask for at most {math.floor(0.95 * per_face)} pores a face, or for a spacing of about "
-        f"{0.97 * spacing * math.sqrt(best / rows):.4g} (cell sizes)",
+        f"{0.97 * spacing * math.sqrt(best / rows):.4g} (cell sizes)"
+        + (", or take `faces_margin: paper`" if first else ""),
     )

@@ -7,11 +7,12 @@ whose count is not reached is left to `throw`, which says how many pores fit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_cell_list
 from sppm_pipeline.method.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE, obstacles_around, throw, wanted_pores
@@ -199,4 +200,32 @@ def patterns_apart(
                 patterns[one] = centers[start : start + count]
     for one in sorted(full):
         patterns[one] = thrown(one)  # which raises with the number that fits
+    return patterns
+
+
+def faces_apart(
+    streams: Sequence[U64],
+    wanted: I64,
+    spacing: float,
+    border: float,
+    *,
+    obstacles: F64 | None = None,
+    threads: int = 1,
+) -> list[list[F64]]:
+    """`patterns_apart` of each axis, by axis and color, so far from the border that perpendicular faces do not matter.
+
+    `streams` are those of each axis, `wanted` (3, colors or more) the pores of each pattern. Raises DesignError if the
+    border leaves no face.
+    """
+    if border >= 0.5:
+        raise DesignError(
+            f"this many face patterns keep {border:.4g} cell sizes from the border, which leaves no face",
+            hint="choose a smaller spacing",
+        )
+    patterns = []
+    for axis, own in enumerate(streams):
+        low, high = np.full(3, border), np.full(3, 1.0 - border)
+        low[axis] = high[axis] = 0.0
+        made = patterns_apart(own, wanted[axis, : len(own)], spacing, low, high, obstacles=obstacles, threads=threads)
+        patterns.append(made)
     return patterns

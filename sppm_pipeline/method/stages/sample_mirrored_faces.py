@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import Cell, Context, Length, Palette, PoreSet, Size, Stage, option, options
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families.sampler import design_of, start_of
 from sppm_pipeline.method.families.scattered import with_darts
 from sppm_pipeline.nouns.palette import Blocks
@@ -141,7 +141,7 @@ class MirroredFaces(Stage):
                 hint="leave `margin` out for the least that works",
             )
         if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1:
-            return mirrored_faces(context.rng(), None, spacing, colors[0], margin=margin, total=count), spacing
+            return mirrored_faces(context.rng(), count, spacing, colors[0], margin), spacing
         return self._apart(context, count, spacing, colors, margin), spacing
 
     def _scattered(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
@@ -172,28 +172,16 @@ class MirroredFaces(Stage):
         """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
         from sppm_pipeline.method.sampling.cell_list import new_stream
         from sppm_pipeline.method.sampling.faces import face_counts
-        from sppm_pipeline.method.sampling.many import patterns_apart
+        from sppm_pipeline.method.sampling.many import faces_apart
 
         free = spacing / np.sqrt(2)
         if margin is not None and margin < free:
             raise ConfigError(
                 f"the margin of {margin:g} cell sizes is too small for this many face patterns; the least is {free:.4g}"
             )
-        border = margin or free
-        if border >= 0.5:
-            raise DesignError(
-                f"this many face patterns keep {border:.4g} cell sizes from the border, which leaves no face",
-                hint="choose a smaller spacing",
-            )
-        lower, upper = np.full(3, border), np.full(3, 1 - border)
-        patterns = []
-        for axis, counts in enumerate(face_counts(count, max(colors))):
-            low, high = lower.copy(), upper.copy()
-            low[axis] = high[axis] = 0.0
-            streams = np.concatenate([new_stream(context.rng(axis, k)) for k in range(colors[axis])])
-            made = patterns_apart(streams, counts[: colors[axis]], spacing, low, high, threads=context.threads)
-            patterns.append(made)
-        return patterns
+        streams = [np.concatenate([new_stream(context.rng(axis, k)) for k in range(colors[axis])]) for axis in range(3)]
+        counts = face_counts(count, max(colors))
+        return faces_apart(streams, counts, spacing, margin or free, threads=context.threads)
 
 
 def _met(palette: Palette) -> int:

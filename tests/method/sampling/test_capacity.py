@@ -63,9 +63,9 @@ def test_face_capacity_against_measured_saturation(spacing: float, colors: int, 
     capacity = face_capacity(spacing, colors, margin)
     for seed in range(3):
         with pytest.raises(DesignError):
-            mirrored_faces(np.random.default_rng(seed), math.ceil(1.12 * capacity), spacing, colors, margin=margin)
+            mirrored_faces(np.random.default_rng(seed), 3 * math.ceil(1.12 * capacity), spacing, colors, margin)
     for seed in range(3):
-        mirrored_faces(np.random.default_rng(seed), math.floor(0.88 * capacity), spacing, colors, margin=margin)
+        mirrored_faces(np.random.default_rng(seed), 3 * math.floor(0.88 * capacity), spacing, colors, margin)
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
