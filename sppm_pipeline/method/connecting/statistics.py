@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.connecting.trees import Indices, as_points, bridge_mask, component_labels, edge_lengths
+from sppm_pipeline.method.connectivity.components import unite_shifted
 from sppm_pipeline.services.arrays import I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
 
@@ -54,42 +55,16 @@ def wraps(n: int, edges: Indices, shifts: Indices) -> tuple[bool, bool, bool]:
     up to zero along an axis runs through the cell along that axis (J. Machta et al., Phys. Rev. E 54, 1996).
     """
     edges = np.ascontiguousarray(edges, dtype=np.int64).reshape(-1, 2)
-    x, y, z = _wraps(n, edges, np.ascontiguousarray(shifts, dtype=np.int64).reshape(-1, 3)).tolist()
+    x, y, z = _wraps(n, edges, np.ascontiguousarray(shifts, dtype=np.int64).reshape(-1, 3)).any(axis=0).tolist()
     return x, y, z
 
 
 @jit
 def _wraps(n: int, edges: I64, shifts: I64) -> Bools:
-    parent = np.arange(n)
-    # cell of the root's image minus the cell of the vertex, along the way to the parent
-    offset = np.zeros((n, 3), np.int64)
-    found = np.zeros(3, np.bool_)
-    ends = np.empty(2, np.int64)
-    total = np.zeros((2, 3), np.int64)
-    for e in range(edges.shape[0]):
-        for p in range(2):
-            v = edges[e, p]
-            for a in range(3):
-                total[p, a] = 0
-            while parent[v] != v:
-                up = parent[v]
-                if parent[up] != up:
-                    for a in range(3):
-                        offset[v, a] += offset[up, a]
-                    parent[v] = parent[up]
-                for a in range(3):
-                    total[p, a] += offset[v, a]
-                v = parent[v]
-            ends[p] = v
-        if ends[0] == ends[1]:
-            for a in range(3):
-                if total[0, a] != total[1, a] + shifts[e, a]:
-                    found[a] = True
-        else:
-            parent[ends[1]] = ends[0]
-            for a in range(3):
-                offset[ends[1], a] = total[0, a] - total[1, a] - shifts[e, a]
-    return found
+    parent, offset, wraps = np.arange(n).astype(np.int32), np.zeros((n, 3), np.int32), np.zeros((n, 3), np.bool_)
+    for e in range(len(edges)):
+        unite_shifted(parent, offset, wraps, edges[e, 0], edges[e, 1], shifts[e, 0], shifts[e, 1], shifts[e, 2])
+    return wraps
 
 
 def networkx_graph(points: ArrayLike, edges: Indices, shifts: Indices, regions: Sequence[str] | None = None) -> Any:

@@ -155,7 +155,7 @@ def _lift(parent: I32, offset: I32, c: int) -> tuple[int, int, int, int]:
 
 
 @jit
-def _unite(parent: I32, offset: I32, wraps: Bools, a: int, b: int, sx: int, sy: int, sz: int) -> None:
+def unite_shifted(parent: I32, offset: I32, wraps: Bools, a: int, b: int, sx: int, sy: int, sz: int) -> None:
     """Component a touches the image of component b that is shifted by (sx, sy, sz) cells."""
     root_a, ax, ay, az = _lift(parent, offset, a)
     root_b, bx, by, bz = _lift(parent, offset, b)
@@ -217,7 +217,7 @@ def _cross_seams(
                     elif b_ends + touch <= bounds[2 * a]:
                         b += 1
                     else:
-                        _unite(parent, offset, wraps, in_box[a], in_box[b], sx, sy, sz)
+                        unite_shifted(parent, offset, wraps, in_box[a], in_box[b], sx, sy, sz)
                         if bounds[2 * a + 1] < b_ends:
                             a += 1
                         else:

@@ -117,36 +117,23 @@ def _eliminate(cells: CellList, count: int, nearest: float) -> I64:
     return heap
 
 
-def elimination_order(
-    points: ArrayLike,
-    count: int,
-    lower: ArrayLike,
-    upper: ArrayLike,
-    *,
-    periodic: Sequence[bool] = (False, False, False),
-) -> I64:
+def elimination_order(points: F64, count: int, lower: ArrayLike, upper: ArrayLike, periodic: Sequence[bool]) -> I64:
     """Remove the point with the largest weight, again and again, until `count` of the points (m, 3) are left.
 
     Returns rows of `points`, (m,): the `count` that are left, ascending, then those taken away, the last one first.
     Equal coordinates of `lower` and `upper` along an axis mean a plane or a line; periodic axes have period 1.
     """
-    candidates = np.ascontiguousarray(points, dtype=np.float64)
     low = np.ascontiguousarray(lower, dtype=np.float64)
     side = np.asarray(upper, dtype=np.float64) - low
-    wraps = np.asarray(periodic, dtype=np.bool_)
-    if candidates.ndim != 2 or candidates.shape[1] != 3 or not 0 <= count <= len(candidates):
-        raise ValueError(f"need (m, 3) points and 0 <= count <= m, got {candidates.shape} and {count}")
-    if low.shape != (3,) or side.shape != (3,) or np.any(side < 0.0) or np.any(side[wraps] > 1.0):
-        raise ValueError(f"a box needs 0 <= upper - lower (<= 1 along periodic axes), got {side.tolist()}")
     used = side[side > 0.0]
-    if count in (0, len(candidates)) or len(used) == 0:
-        return np.arange(len(candidates))
+    if count in (0, len(points)) or len(used) == 0:
+        return np.arange(len(points))
     # Distance of the points in the densest lattice of this dimension: no set of `count` points can be wider.
     room = float(np.prod(used)) / count
     ideal = {1: room, 2: math.sqrt(room * 2.0 / math.sqrt(3.0)), 3: math.cbrt(room * math.sqrt(2.0))}[len(used)]
-    nearest = ideal * _BETA * (1.0 - math.pow(count / len(candidates), _GAMMA))
-    cells = empty_cell_list(len(candidates), ideal, low, low + side, wraps.tolist())
-    add_points(cells, candidates, 0, 0)
+    nearest = ideal * _BETA * (1.0 - math.pow(count / len(points), _GAMMA))
+    cells = empty_cell_list(len(points), ideal, low, low + side, periodic)
+    add_points(cells, points, 0, 0)
     order = _eliminate(cells, count, nearest)
     order[:count].sort()
     return order
@@ -173,4 +160,4 @@ def eliminate(
     low = np.asarray(lower, dtype=np.float64)
     side = np.asarray(upper, dtype=np.float64) - low
     points = low + side * rng.random((math.ceil(oversampling * count), 3))
-    return points[elimination_order(points, count, lower, upper, periodic=periodic)[:count]]
+    return points[elimination_order(points, count, lower, upper, periodic)[:count]]

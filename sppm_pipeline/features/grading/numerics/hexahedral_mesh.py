@@ -178,19 +178,14 @@ def _joined(points: F64, hexahedra: I64) -> tuple[I64, F64]:
     return number[hexahedra], nodes[first]
 
 
-def corner_determinants(corners: F64) -> F64:
-    """Determinants of the derivative at the eight corners of hexahedra (m, 2, 2, 2, 3), (m, 8)."""
-    m = len(corners)
-    cell, places = np.repeat(np.arange(m), 8), np.tile(np.array(list(np.ndindex(2, 2, 2)), np.float64), (m, 1))
-    return np.asarray(np.linalg.det(points_in(corners, cell, places)[1]).reshape(m, 8))
-
-
 def _order_of(nodes: F64, hexahedra: I64) -> tuple[str, list[int]]:
     """The order of nodes in which all hexahedra are right-handed; an error that names one if there is none."""
     worst = 0
     for turned, order in _ORDERS.items():
         corners = corners_of(nodes, hexahedra[:, order])
-        wrong = (corner_determinants(corners) <= _flat(corners)[:, None]).any(axis=1)
+        # coefficients at the corners are the values there
+        at_corners = determinant_coefficients(corners)[:, ::2, ::2, ::2]
+        wrong = (at_corners <= _flat(corners)[:, None, None, None]).any(axis=(1, 2, 3))
         if not wrong.any():
             return turned, order
         if not turned:
