@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from sppm_pipeline.services.arrays import F64, I32, U8, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
-from sppm_pipeline.services.mesh.box_tree import box_tree
-from sppm_pipeline.services.nearest import surface_distances
+from sppm_pipeline.services.nearest import squared_to_triangle
 
 SLACK = 1.0 + 1e-6
 """A distance that equals the thickness up to rounding counts as within, as in `skin_layers`."""
@@ -41,12 +40,30 @@ def faces_toward(vertices: F64, faces: I32, directions: ArrayLike, angle: float)
 
 def faces_within(vertices: F64, faces: I32, others: F64, distance: float) -> Bools:
     """Triangles of which all corners are within a distance of other triangles (k, 3, 3); (m,) bool."""
-    reach, near = distance * SLACK, np.zeros(len(vertices), np.bool_)
-    low, high = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
-    # most lie beyond the box of the others
-    some = ((vertices >= low) & (vertices <= high)).all(axis=1)
-    near[some] = surface_distances(box_tree(np.ascontiguousarray(others)), vertices[some]) <= reach
-    return near[faces].all(axis=1)
+    # sorted along x, so that a triangle looks at the points between two planes only
+    order = np.argsort(vertices[:, 0], kind="stable")
+    near = np.zeros(len(vertices), np.bool_)
+    found = np.zeros(len(vertices), np.bool_)
+    _near_points(np.ascontiguousarray(vertices[order]), np.ascontiguousarray(others), distance * SLACK, found)
+    near[order] = found
+    return near[faces[:, 0]] & near[faces[:, 1]] & near[faces[:, 2]]
+
+
+@jit
+def _near_points(points: F64, triangles: F64, reach: float, found: Bools) -> None:
+    """Mark points, sorted along x, that are within reach of a triangle."""
+    for f in range(triangles.shape[0]):
+        t = triangles[f]
+        x0, x1 = min(t[0, 0], t[1, 0], t[2, 0]) - reach, max(t[0, 0], t[1, 0], t[2, 0]) + reach
+        y0, y1 = min(t[0, 1], t[1, 1], t[2, 1]) - reach, max(t[0, 1], t[1, 1], t[2, 1]) + reach
+        z0, z1 = min(t[0, 2], t[1, 2], t[2, 2]) - reach, max(t[0, 2], t[1, 2], t[2, 2]) + reach
+        for i in range(np.searchsorted(points[:, 0], x0), points.shape[0]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            if x > x1:
+                break
+            if found[i] or y < y0 or y > y1 or z < z0 or z > z1:
+                continue
+            found[i] = squared_to_triangle(t, x, y, z) <= reach * reach
 
 
 def add_skin_on(triangles: F64, grid: Grid, start: int, thickness: float, inside: U8, solid: U8) -> None:
