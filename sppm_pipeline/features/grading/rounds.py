@@ -14,7 +14,7 @@ from sppm_pipeline.features.grading.local_porosity import error_summary
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve, porosity_curve
 from sppm_pipeline.method.families.interiors import MIN_PORES
 from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS, without_faces
-from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.microstructure import Microstructure, made_of_kernels
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
 from sppm_pipeline.services.arrays import F64
@@ -52,13 +52,8 @@ def trial(
     """A cell of a recipe with another number of pores; `ConfigError` if the recipe makes no microstructure."""
     stages = [i for i, values in recipe.options().items() if values.get("total") is not None]
     options = {} if total is None else {stage: {"total": total} for stage in stages}
-    micro = recipe.run(context, palette=palette or Palette(), attempt=attempt, options=options)
-    if not isinstance(micro, Microstructure):
-        raise ConfigError(
-            f"the recipe {recipe.name!r} makes a {type(micro).__name__}; graded cells need a Microstructure",
-            hint="end the recipe with `field.gaussian`",
-        )
-    return micro
+    made = recipe.run(context, palette=palette or Palette(), attempt=attempt, options=options)
+    return made_of_kernels(made, recipe.name, "graded cells need")
 
 
 def curve_of(

@@ -55,8 +55,6 @@ def run_level_set(
     import manifold3d
 
     cubes = [(n - 1) // 2 for n in reversed(samples.shape)]
-    if any(n != 2 * c + 1 or c < 1 for n, c in zip(reversed(samples.shape), cubes, strict=True)):
-        raise ValueError(f"samples on half the spacing are odd in number along each axis, not {samples.shape}")
     values = np.ascontiguousarray(samples, np.float32)
     x, y, z = (float(v) for v in origin)
     box = [x, y, z, *(o + c * spacing for o, c in zip((x, y, z), cubes, strict=True))]

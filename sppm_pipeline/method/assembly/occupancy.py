@@ -11,17 +11,10 @@ from sppm_pipeline.services.jit.compiled import jit
 def gray_by_coverage(samples: U8 | Bools, factor: tuple[int, int]) -> U8:
     """One gray layer (h, w) from a finer occupancy ([s,] h * fy, w * fx), with s sheets if subsampled along z.
 
-    Pixels are 255 times the fraction that is inside (not 0), rounded to the nearest integer, halves upwards. Raises
-    ValueError if the samples are not an integer number of pixels (fx, fy).
+    Pixels are 255 times the fraction that is inside (not 0), rounded to the nearest integer, halves upwards.
     """
     sheets = samples[None] if samples.ndim == 2 else samples
     fx, fy = factor
-    if sheets.ndim != 3 or min(fx, fy) < 1 or 0 in sheets.shape or sheets.shape[1] % fy or sheets.shape[2] % fx:
-        raise ValueError(f"samples of shape {samples.shape} are no whole pixels of {fx} x {fy} subsamples")
-    if sheets.dtype not in (np.dtype(np.uint8), np.dtype(np.bool_)):
-        raise ValueError(f"an occupancy is uint8 or bool, not {sheets.dtype}")
-    if sheets.shape[0] * fy > 65535:
-        raise ValueError("more than 65535 subsamples along y and z in one pixel")
     gray = np.empty((sheets.shape[1] // fy, sheets.shape[2] // fx), dtype=np.uint8)
     _gray(np.ascontiguousarray(sheets).view(np.uint8), fx, fy, gray)
     return gray

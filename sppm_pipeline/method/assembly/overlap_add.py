@@ -44,16 +44,14 @@ def assemble(
     are left as they are in `out`, 0 without it. `out` (layers, y1 - y0, x1 - x0) is overwritten. The result does not
     depend on the threads.
 
-    Raises ValueError if the bank has no patches for a cell near the box, or `out` does not fit.
+    Raises ValueError if the bank has no patches for a cell near the box.
     """
-    shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
+    shape = layer_stop - layer_start, y1 - y0, x1 - x0
     if bank.solid_level is not None:
         raise ValueError("an int16 bank distinguishes only solid and void; build one without solid_level")
     if out is None:
         out = np.empty(shape, np.float32) if wanted is None else np.zeros(shape, np.float32)
     field = out
-    if field.shape != shape or field.dtype != np.float32 or not field.flags.c_contiguous:
-        raise ValueError(f"out must be a C-contiguous float32 array {shape}")
     _run(bank, tiling, (x0, y0, layer_start), shape, field, None, 0.0, threads, wanted)
     return field
 
@@ -77,7 +75,7 @@ def assemble_bits(
     is not wanted are 0, or what they are. Solid is G < C, decided on the float32 values that `assemble` gives; an int16
     bank serves the level C it was built for. Rows are those of `services.bit_rows`; the first bit is x0.
     """
-    layers, rows, columns = _shape(layer_start, layer_stop, x0, x1, y0, y1)
+    layers, rows, columns = layer_stop - layer_start, y1 - y0, x1 - x0
     if bank.solid_level is not None and level != bank.solid_level:
         raise ValueError(f"the int16 bank was built for the level {bank.solid_level!r}, not {level!r}")
     solid = empty_bits(layers, rows, columns)
@@ -85,12 +83,6 @@ def assemble_bits(
         solid[:] = 0
     _run(bank, tiling, (x0, y0, layer_start), (layers, rows, columns), None, solid, level, threads, wanted)
     return solid
-
-
-def _shape(layer_start: int, layer_stop: int, x0: int, x1: int, y0: int, y1: int) -> tuple[int, int, int]:
-    if layer_stop < layer_start or x1 < x0 or y1 < y0:
-        raise ValueError("the box of samples ends before it begins")
-    return layer_stop - layer_start, y1 - y0, x1 - x0
 
 
 def _run(
@@ -132,8 +124,6 @@ def _run(
     kind = np.float32 if bank.solid_level is None else np.int32
     if wanted is None:
         wanted = np.tile(np.array([0, columns], np.int32), (rows, 1))
-    elif wanted.shape != (rows, 2):
-        raise ValueError(f"wanted must be (rows, 2) with {rows} rows, not {wanted.shape}")
 
     def work(part: range) -> None:
         _assemble_blocks(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import PieceNumbers, Pieces, Sites, TilingArrays, site_pieces, sites_between
 from sppm_pipeline.method.kernels.kernels import Kernels, concatenated, reach_boxes
-from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF, check_cutoff
+from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.method.kernels.rows import LANES
 from sppm_pipeline.method.kernels.splat import add_kernels
 from sppm_pipeline.services.arrays import F32, I16, I32, I64
@@ -148,11 +148,6 @@ def build_bank(
     `assemble_bits` at this level only, with half the memory; rounding changes the sum by at most ``p / 2 / 32767`` of
     the level. The result does not depend on the threads.
     """
-    if solid_level is not None and not solid_level > 0.0:
-        raise ValueError(f"an int16 bank needs a positive level, not {solid_level!r}")
-    if n < 1:
-        raise ValueError(f"a cell needs at least one voxel along its edge, not {n}")
-    check_cutoff(cutoff)
     own, merged = _parts(pieces, combinations)
     kernels = [pieces[i] for i in own] + merged
     boxes = [_box(k, n, offset, cutoff) for k in kernels]

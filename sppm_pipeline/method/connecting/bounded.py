@@ -10,8 +10,6 @@ from sppm_pipeline.method.connecting.greedy import feasible_degrees, greedy_subg
 from sppm_pipeline.method.connecting.trees import Periodic, as_points, images_per_pair, periods
 from sppm_pipeline.services.arrays import F64, I64
 
-MODES = ("exact", "greedy")
-
 
 def spanning_subgraph(
     points: ArrayLike,
@@ -49,10 +47,6 @@ def spanning_subgraph(
     """
     points = as_points(points)
     period = periods(periodic)
-    if mode not in MODES:
-        raise ValueError(f"mode must be one of {', '.join(MODES)}, not {mode!r}")
-    if k < 1:
-        raise ValueError(f"k must be at least 1, not {k}")
     if clearance is not None and not clearance >= 0:
         raise DesignError(f"a clearance of {clearance} is not a distance", hint="give a number >= 0, or none")
     n = len(points)

@@ -118,8 +118,6 @@ def candidate_graph(
     Returns edges and shifts as `spanning_subgraph` does.
     """
     points = as_points(points)
-    if k < 1:
-        raise ValueError(f"k must be at least 1, not {k}")
     period = periods(periodic)
     n = len(points)
     if n < 2:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sppm_pipeline.method.connecting.trees import Indices, as_points, bridge_mask, component_labels, edge_lengths
-from sppm_pipeline.method.connectivity.components import unite_shifted
 from sppm_pipeline.services.arrays import I64, Bools
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import unite_shifted
 
 
 class GraphStatistics(NamedTuple):
@@ -55,7 +55,8 @@ def wraps(n: int, edges: Indices, shifts: Indices) -> tuple[bool, bool, bool]:
     up to zero along an axis runs through the cell along that axis (J. Machta et al., Phys. Rev. E 54, 1996).
     """
     edges = np.ascontiguousarray(edges, dtype=np.int64).reshape(-1, 2)
-    x, y, z = _wraps(n, edges, np.ascontiguousarray(shifts, dtype=np.int64).reshape(-1, 3)).any(axis=0).tolist()
+    shifts = np.ascontiguousarray(shifts, dtype=np.int64).reshape(-1, 3)
+    x, y, z = (bool(along.any()) for along in _wraps(n, edges, shifts).T)
     return x, y, z
 
 
@@ -77,8 +78,6 @@ def networkx_graph(points: ArrayLike, edges: Indices, shifts: Indices, regions: 
     import networkx
 
     points = as_points(points)
-    if regions is not None and len(regions) != len(points):
-        raise ValueError(f"{len(regions)} regions for {len(points)} points")
     graph = networkx.MultiGraph()
     for v, (x, y, z) in enumerate(points.tolist()):
         graph.add_node(v, x=x, y=y, z=z)

@@ -18,13 +18,8 @@ from sppm_pipeline.services.union_find import find_root, unite
 
 
 def as_points(points: ArrayLike) -> F64:
-    """The points as a C-contiguous (n, 3) float64 array; ValueError for another shape or infinite coordinates."""
-    array = np.ascontiguousarray(points, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"points must have the shape (n, 3), not {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError("points must be finite")
-    return array
+    """The points as a C-contiguous (n, 3) float64 array."""
+    return np.ascontiguousarray(points, dtype=np.float64)
 
 
 Indices = NDArray[np.integer]
@@ -35,10 +30,8 @@ Periodic = bool | Sequence[float]
 
 
 def periods(periodic: Periodic) -> F64:
-    """Whole cells after which x, y, z repeat, (3,) float64, 0 for never; ValueError if one is no whole number."""
+    """Whole cells after which x, y, z repeat, (3,) float64, 0 for never."""
     period = np.asarray(periodic, dtype=np.float64)
-    if period.shape not in ((), (3,)) or (period < 0).any() or (period != np.rint(period)).any():
-        raise ValueError("periodic must be one flag, three, or three whole numbers of cells")
     return np.ascontiguousarray(np.broadcast_to(period, 3))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbor_reach
 from sppm_pipeline.services.arrays import I32, I64, U8, Bools
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import unite_shifted
 
 
 class Components(NamedTuple):
@@ -134,48 +135,6 @@ def _box_components(rows: I64, bounds: I32, nz: int, ny: int, nx: int, reach: in
                 sizes[c] += bounds[2 * r + 1] - bounds[2 * r]
                 faces[c] |= row_bits | np.uint8(bounds[2 * r] == 0) | np.uint8(2) * np.uint8(bounds[2 * r + 1] == nx)
     return parent, sizes, faces
-
-
-@jit
-def _lift(parent: I32, offset: I32, c: int) -> tuple[int, int, int, int]:
-    """Root of c, and the shift (in cells along x, y, z) of c against its root."""
-    x, y, z = 0, 0, 0
-    while parent[c] != c:
-        p = parent[c]
-        if parent[p] != p:
-            # path halving; the shift of a node is that against its new parent then
-            for axis in range(3):
-                offset[c, axis] += offset[p, axis]
-            parent[c] = parent[p]
-        x += offset[c, 0]
-        y += offset[c, 1]
-        z += offset[c, 2]
-        c = parent[c]
-    return c, x, y, z
-
-
-@jit
-def unite_shifted(parent: I32, offset: I32, wraps: Bools, a: int, b: int, sx: int, sy: int, sz: int) -> None:
-    """Component a touches the image of component b that is shifted by (sx, sy, sz) cells."""
-    root_a, ax, ay, az = _lift(parent, offset, a)
-    root_b, bx, by, bz = _lift(parent, offset, b)
-    dx, dy, dz = ax + sx - bx, ay + sy - by, az + sz - bz
-    # the component meets an image of itself: along axes with a shift it goes round the torus
-    if root_a == root_b:
-        wraps[root_a, 0] |= dx != 0
-        wraps[root_a, 1] |= dy != 0
-        wraps[root_a, 2] |= dz != 0
-        return
-    # the smaller root stays, so that numbers follow the first voxel
-    if root_b < root_a:
-        root_a, root_b = root_b, root_a
-        dx, dy, dz = -dx, -dy, -dz
-    parent[root_b] = root_a
-    offset[root_b, 0] = dx
-    offset[root_b, 1] = dy
-    offset[root_b, 2] = dz
-    for axis in range(3):
-        wraps[root_a, axis] |= wraps[root_b, axis]
 
 
 @jit

@@ -142,8 +142,6 @@ class IslandFilter:
 
     def observe(self, slab: U64) -> int:
         """First pass: take in the next layers, bits (nz, ny, words) as in `services.bit_rows`; how many are set."""
-        if self._verdict is not None:
-            raise ValueError("observe comes before finish")
         total = 0
         for k in range(slab.shape[0]):
             runs = self._advance(slab[k : k + 1], counting=True)
@@ -185,8 +183,6 @@ class IslandFilter:
 
     def finish(self) -> IslandStatistics:
         """Keep the largest component, the first of equals; `clear` may follow."""
-        if self._verdict is not None:
-            raise ValueError("finish comes once")
         root = self._parent[: self._n_ids]
         resolve(root, self._voxels, self._boxes)
         kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers)
@@ -196,8 +192,6 @@ class IslandFilter:
 
     def labels(self) -> SlabLabels:
         """End the first pass of a slab that is one of several; nothing else may follow."""
-        if self._verdict is not None or not self._layers:
-            raise ValueError("labels come once, after the layers of a slab")
         root = self._parent[: self._n_ids]
         resolve(root, self._voxels, self._boxes)
         is_root = root == np.arange(root.size, dtype=np.int32)
@@ -233,10 +227,9 @@ class IslandFilter:
 
         An InputError says that the layers are not those of the first pass, as far as that shows.
         """
-        if self._verdict is None:
-            raise ValueError("clear comes after finish")
         if self._z + slab.shape[0] > self._layers:
             raise InputError(f"the second pass has more layers than the first, which had {self._layers}")
+        assert self._verdict is not None
         for k in range(slab.shape[0]):
             if self._remembered is None:
                 runs = self._advance(slab[k : k + 1], counting=False)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.microstructure import Microstructure, made_of_kernels
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.nouns.cell_sizes import CellSizes
@@ -191,13 +191,7 @@ class LaidCells(Stage):
 
     def drawn(self, context: Context, recipe: Recipe, palette: Palette, what: str) -> Microstructure:
         """What a recipe makes for all cells; `ConfigError` if that has no pores and tunnels."""
-        micro = recipe.run(context, palette=palette)
-        if not isinstance(micro, Microstructure):
-            raise ConfigError(
-                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; {what} cells need a Microstructure",
-                hint="end the recipe with `field.gaussian`",
-            )
-        return micro
+        return made_of_kernels(recipe.run(context, palette=palette), recipe.name, f"{what} cells need")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families import options
-from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.microstructure import Microstructure, made_of_kernels
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import RecipeSize, Size
-from sppm_pipeline.services.arrays import F32, F64
+from sppm_pipeline.services.arrays import F32, F64, Bools
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.stage import Context, Recipe, Stage
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.tiling.lattice import Laid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +68,7 @@ class TileSetMaker(Stage):
         """Draw the set and, if a porosity is requested, choose its level."""
         from sppm_pipeline.method.porosity.level import level_for_porosity
 
-        micro = recipe.run(context, palette=self.palette())
-        if not isinstance(micro, Microstructure):
-            raise ConfigError(
-                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; a tile set needs a Microstructure",
-                hint="end the recipe with `field.gaussian` or another stage that sums kernels",
-            )
+        micro = made_of_kernels(recipe.run(context, palette=self.palette()), recipe.name, "a tile set needs")
         check_faces(micro, self.palette(), recipe.name)
         n, trial = self.resolution, self.trial()
         sums = self._sums(context, micro, trial, n)
@@ -106,6 +106,13 @@ class TileSetMaker(Stage):
         # many small layouts: one thread each keeps all busy
         with ThreadPoolExecutor(context.threads) as pool:
             return list(pool.map(sums, trial))
+
+
+def in_turn(interiors: int, lay: Callable[[Bools], Laid]) -> list[TilingArrays]:
+    """A periodic layout by a rule in which each interior has its turn, as a hash may leave one out."""
+    side = max(2, math.ceil(interiors ** (1 / 3)))
+    interior, faces = lay(np.ones((side,) * 3, bool))
+    return [TilingArrays((np.arange(interior.size, dtype=np.int32) % interiors).reshape(interior.shape), faces, True)]
 
 
 def check_faces(micro: Microstructure, palette: Palette, recipe: str) -> None:

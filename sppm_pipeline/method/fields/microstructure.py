@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.scalar_field import WrappedField
@@ -223,6 +224,16 @@ class Microstructure(KernelSum):
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
         return {**self.graph.pores.summary(), **self.graph.summary(), "level": self.level}
+
+
+def made_of_kernels(made: Any, recipe: str, what: str) -> Microstructure:
+    """What a recipe has made; `ConfigError` if that has no pores and tunnels, which `what` needs."""
+    if isinstance(made, Microstructure):
+        return made
+    raise ConfigError(
+        f"the recipe {recipe!r} makes a {type(made).__name__}; {what} a Microstructure",
+        hint="end the recipe with `field.gaussian` or another stage that sums kernels",
+    )
 
 
 def finest_pitch(omega: float, mu: float, profile: str, level: float) -> float:

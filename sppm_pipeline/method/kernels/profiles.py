@@ -61,7 +61,7 @@ class TunnelProfile:
 
     def reach(self, mu: F64 | float, cutoff: float = DEFAULT_CUTOFF) -> F64:
         """Distance at which the kernel falls to the cut-off, shape of `mu`."""
-        return self.root(math.log(1.0 / check_cutoff(cutoff)) / np.asarray(mu, dtype=np.float64))
+        return self.root(math.log(1.0 / cutoff) / np.asarray(mu, dtype=np.float64))
 
     def scale(self, mu: F64) -> F64:
         """Factor s of lengths such that the kernel is ``2^-((s d)^power)``, the form of the compiled sums."""
@@ -69,7 +69,7 @@ class TunnelProfile:
 
     def scaled_reach(self, cutoff: float) -> float:
         """`reach` after lengths were multiplied by `scale`: the same for every mu."""
-        return float(self.root(math.log2(1.0 / check_cutoff(cutoff))))
+        return float(self.root(math.log2(1.0 / cutoff)))
 
     def scaled_radius(self, factor: F64) -> F64:
         """Factor of mu that multiplies the radius by `factor`."""
@@ -104,16 +104,6 @@ PORE_PROFILE = TUNNEL_PROFILES["squared"]
 def omega_from_radius(radius: float, level: float) -> float:
     """Pore size parameter omega of a pore radius: ``ln(1 / level) / radius^2``."""
     return PORE_PROFILE.mu(radius, level, "pore radius")
-
-
-def check_cutoff(cutoff: float) -> float:
-    """The cut-off; ValueError outside [1e-12, 0.5].
-
-    Below 1e-12 nothing is gained (the sums are kept in float32) and the compiled exponential leaves its range.
-    """
-    if not 1e-12 <= cutoff <= 0.5:
-        raise ValueError(f"the cut-off is {cutoff!r}, but it must lie between 1e-12 and 0.5")
-    return float(cutoff)
 
 
 def _log_of_level(level: float) -> float:

@@ -20,7 +20,6 @@ from sppm_pipeline.method.kernels.profiles import (
     PORE_PROFILE,
     TUNNEL_PROFILES,
     TunnelProfile,
-    check_cutoff,
 )
 from sppm_pipeline.method.kernels.rows import (
     LANES,
@@ -80,7 +79,6 @@ def prepared(
     kernels: Kernels, grid: Grid, cutoff: float = DEFAULT_CUTOFF, first_layer: int = 0, layers: int | None = None
 ) -> Prepared:
     """Arguments of `add_prepared` for some layers of a grid, all of them unless given; errors as in `add_kernels`."""
-    check_cutoff(cutoff)
     span = grid.layers(first_layer, first_layer + (grid.shape[2] if layers is None else layers))
     points, tunnels = _packed(kernels)
     stretched = kernels.pore_metric is not None

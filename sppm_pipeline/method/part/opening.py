@@ -94,8 +94,6 @@ def in_planes(crossed: Crossed, spans: I32, reach: int, threads: int = 1) -> U16
 
     `FAR` where none is within the reach along each axis.
     """
-    if not 0 < reach <= MAX_REACH:
-        raise ValueError(f"squared distances are known up to {MAX_REACH} spacings, not {reach}")
     flat = np.full(crossed.solid.shape, FAR, np.uint16)
     in_bands(lambda a, b: _in_planes(crossed.x, crossed.y, spans, a, b, reach, flat), len(flat), threads)
     return flat

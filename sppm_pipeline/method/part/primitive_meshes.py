@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,12 +9,6 @@ from sppm_pipeline.services.arrays import F64, I32
 
 Mesh = tuple[F64, I32]
 Point = tuple[float, float, float]
-
-
-def _at_least(least: int, **counts: int) -> None:
-    for name, value in counts.items():
-        if value < least:
-            raise ValueError(f"{name} is at least {least}, not {value}")
 
 
 def box_mesh(center: Point, size: Point) -> Mesh:
@@ -39,7 +31,6 @@ def _wrap(rows: int, columns: int) -> I32:
 
 def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
     """A ball: an icosahedron whose triangles are split in four `subdivisions` times; 20 * 4^s triangles."""
-    _at_least(0, subdivisions=subdivisions)
     # the corners of an icosahedron lie on three golden rectangles
     golden = (1 + 5**0.5) / 2
     points = np.array(
@@ -72,7 +63,6 @@ def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
 
 def cylinder_mesh(center: Point, radius: float, height: float, segments: int = 64) -> Mesh:
     """An upright prism with `segments` sides, inscribed in a cylinder along z; `center` is its middle."""
-    _at_least(3, segments=segments)
     angle = np.arange(segments) * (2 * np.pi / segments)
     circle = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     rings = [np.column_stack([circle, np.full(segments, z)]) for z in (-height / 2, height / 2)]
@@ -91,7 +81,6 @@ def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, si
     The radius goes from the center to the middle of the tube; a tube not smaller than it would make a mesh that meets
     itself.
     """
-    _at_least(3, segments=segments, sides=sides)
     around = (np.arange(segments) * (2 * np.pi / segments))[:, None]
     across = (np.arange(sides) * (2 * np.pi / sides))[None, :]
     r = radius + tube * np.cos(across)
@@ -99,25 +88,6 @@ def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, si
     points = np.stack([r * np.cos(around), r * np.sin(around), height], axis=2)
     # reversed, so that normals point out of the tube
     return points.reshape(-1, 3) + np.asarray(center), _wrap(segments, sides)[:, ::-1].copy()
-
-
-def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points: int) -> F64:
-    """A closed curve (points, 3), `turns[0]` times around the z axis and `turns[1]` times around the torus' ring.
-
-    It lies on a torus around the origin whose ring has `radius` and whose tube has `swing`. The turns have no common
-    divisor, so that the curve is one; the last point is not the first again.
-    """
-    around, through = turns
-    if min(turns) < 1 or math.gcd(around, through) != 1:
-        raise ValueError(f"a torus knot has two positive numbers of turns without a common divisor, not {turns}")
-    if points < 3:
-        raise ValueError(f"a closed curve has at least 3 points, not {points}")
-    for name, value in (("radius", radius), ("swing", swing)):
-        if not 0 < value < math.inf:
-            raise ValueError(f"{name} is a positive length, not {value}")
-    t = np.arange(points) * (2 * np.pi / points)
-    r = radius + swing * np.cos(through * t)
-    return np.stack([r * np.cos(around * t), r * np.sin(around * t), swing * np.sin(through * t)], axis=1)
 
 
 def torus_knot_mesh(
@@ -129,14 +99,18 @@ def torus_knot_mesh(
     segments: int = 512,
     sides: int = 32,
 ) -> Mesh:
-    """A tube around a `torus_knot_curve`, with `segments` vertices along the curve and `sides` around the tube."""
-    _at_least(3, segments=segments, sides=sides)
-    curve = torus_knot_curve(turns, radius, swing, segments)
+    """A tube around a torus knot, with `segments` vertices along the curve and `sides` around the tube.
+
+    The curve goes `turns[0]` times around the z axis and `turns[1]` times around the ring of a torus, which has the
+    radius `radius`, in a tube of `swing`; the turns have no common divisor.
+    """
+    t = np.arange(segments) * (2 * np.pi / segments)
+    r = radius + swing * np.cos(turns[1] * t)
+    curve = np.stack([r * np.cos(turns[0] * t), r * np.sin(turns[0] * t), swing * np.sin(turns[1] * t)], axis=1)
     # central differences on a closed curve
     tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     # the normal of the torus turns with the curve and comes back to itself, so the last ring fits the first
-    t = np.arange(segments) * (2 * np.pi / segments)
     ring = np.stack([np.cos(turns[0] * t), np.sin(turns[0] * t), np.zeros(segments)], axis=1) * radius
     outwards = curve - ring
     outwards -= (outwards * tangent).sum(axis=1, keepdims=True) * tangent

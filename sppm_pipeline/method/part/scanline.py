@@ -40,9 +40,7 @@ def scan_layers(scan: Scan, start: int, stop: int) -> Occupancy:
 
 def scan_bits(scan: Scan, start: int, stop: int) -> U64:
     """The mask of `scan_layers` as bits, (stop - start, ny, words), see `services.bit_rows`."""
-    n_ray, n_row, n_layer = scan.shape
-    if not 0 <= start <= stop <= n_layer:
-        raise ValueError(f"layers {start} to {stop} are not among the {n_layer} of the grid")
+    n_ray, n_row, _ = scan.shape
     bits = np.zeros((stop - start, n_row, words_of(n_ray)), np.uint64)
     for first, last, starts, keys in ray_crossings(scan, start, stop):
         _fill_bits(starts, keys, n_ray, bits[first - start : last - start].reshape(-1, bits.shape[2]))
@@ -121,9 +119,7 @@ def vote_layers(scan: ThreeAxisScan, start: int, stop: int) -> Occupancy:
     Takes all triangles for every slab (the rays along z pass through all layers), so slabs should not be thin.
     Undecided are voxels with two to four of the six ballots.
     """
-    n_x, n_y, n_z = scan.x.shape
-    if not 0 <= start <= stop <= n_z:
-        raise ValueError(f"layers {start} to {stop} are not among the {n_z} of the grid")
+    n_x, n_y, _ = scan.x.shape
     n = stop - start
     votes = np.zeros((n, n_y, n_x), dtype=np.uint8)
     along_y = np.zeros((n, n_x, n_y), dtype=np.uint8)

@@ -35,11 +35,7 @@ def skin_layers(occupancy: U8, spacing: tuple[float, float, float], thickness: f
     z) and thickness are in one unit; below the spacing there is no skin. The same voxel for voxel however the part is
     cut.
     """
-    if occupancy.ndim != 3 or occupancy.dtype != np.uint8 or min(below, above) < 0:
-        raise ValueError(f"an occupancy is (nz, ny, nx) uint8, not {occupancy.shape} of {occupancy.dtype}")
     n = occupancy.shape[0] - below - above
-    if n < 0 or min(spacing) <= 0 or not 0 <= thickness < math.inf:
-        raise ValueError(f"no skin of {thickness} on voxels of {spacing}, {n} layers")
     skin = np.zeros((n, *occupancy.shape[1:]), dtype=np.uint8)
     hx, hy, hz = (np.float32(h * h) for h in spacing)
     nz, ny, nx = occupancy.shape  # farther than the array is wide, what lies beyond it has counted already

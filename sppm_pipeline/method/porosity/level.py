@@ -87,8 +87,6 @@ def search_monotone(
     times those of bisection. A function that is not monotone costs the guarantee, not the result: the best x that was
     met is returned. If the target is not bracketed, that is the better end, after two evaluations.
     """
-    if not low < high or tolerance < 0 or max_evaluations < 2:
-        raise ValueError(f"can't search [{low}, {high}] to {tolerance} in {max_evaluations} evaluations")
     x_a, x_b = low, high
     excess_a = function(x_a) - target
     best_x, best_excess = x_a, excess_a

@@ -31,8 +31,6 @@ def fit_line(n: ArrayLike, porosity: ArrayLike) -> PorosityLine:
     """
     count = np.asarray(n, dtype=np.float64)
     value = np.asarray(porosity, dtype=np.float64)
-    if count.ndim != 1 or count.shape != value.shape or not (np.isfinite(count).all() and np.isfinite(value).all()):
-        raise ValueError(f"a line needs two finite arrays of one length, not {count.shape} and {value.shape}")
     if count.size < 2 or count.min() == count.max():
         raise DesignError(
             "a line needs samples with at least two different numbers of pores", hint="widen the range of n"

@@ -119,8 +119,6 @@ def throw_blocks(
     # darts follow the first of these and spacings the second, both powers -1/3 of densities
     of_darts = of_spacings = of_metrics = None
     if density is not None:
-        if periodic and np.ptp(density) > 0:
-            raise ValueError("a lattice that repeats takes no density that varies")
         of_darts = of_spacings = np.ascontiguousarray(density, np.float64) ** (-1 / 3)
         widest, closest = spacing * float(of_darts.max()), spacing * float(of_darts.min())
         if metric is not None:

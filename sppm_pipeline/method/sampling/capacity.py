@@ -61,8 +61,6 @@ def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool |
     infinite if l is 0.
     """
     sides = (float(side),) * 3 if isinstance(side, int | float) else tuple(float(a) for a in side)
-    if len(sides) != 3:
-        raise ValueError(f"a box has 3 sides, got {len(sides)}")
     return _region_capacity(sides, spacing, _as_flags(periodic, 3))
 
 
@@ -74,8 +72,6 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     colors, margin l/2), because the faces around a cell edge press on each other; past a margin of 0.71 l they no
     longer do. The margin from the border is 0 for one color and l/2 otherwise if omitted.
     """
-    if spacing <= 0.0 or colors < 1:
-        raise ValueError(f"spacing and colors must be positive, got {spacing}, {colors}")
     # the fit of the docstring: linear to l/2, to 0.71 l, and beyond, where the side is 1 - 2 margin + 0.66 l
     ratio = (0.0 if colors == 1 else 0.5) if margin is None else margin / spacing
     at_half = 0.70 - 0.17 * math.pow(colors, -0.7)  # loss at a margin of l/2

@@ -90,8 +90,6 @@ def face_counts(total: int, colors: int) -> I64:
     Where the total is no multiple of three, the axes that get one pore more rotate with the color. A cell whose faces
     have one color holds exactly `total`; with mixed colors it may hold up to two pores more or fewer.
     """
-    if total < 0 or colors < 1:
-        raise ValueError(f"total must be >= 0 and colors >= 1, got {total}, {colors}")
     axis, color = np.arange(3)[:, None], np.arange(colors)[None, :]
     return (total // 3 + ((axis - color) % 3 < total % 3)).astype(np.int64)
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from sppm_pipeline import Palette, TileSetMaker, options
 from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.families.tileset_maker import in_turn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,4 @@ class CornerColorsTileSet(TileSetMaker):
         """One periodic layout by the hash, large enough to show every interior in turn."""
         from sppm_pipeline.method.tiling.corners import tile_corners
 
-        side = max(2, int(np.ceil(self.interiors ** (1 / 3))))
-        interior, faces = tile_corners(np.ones((side,) * 3, bool), 0, self.colors, self.interiors, periodic=True)
-        # the hash may leave an interior out; here each has its turn
-        interior = (np.arange(interior.size, dtype=np.int32) % self.interiors).reshape(interior.shape)
-        return [TilingArrays(interior, faces, True)]
+        return in_turn(self.interiors, lambda mask: tile_corners(mask, 0, self.colors, self.interiors, periodic=True))

@@ -38,10 +38,8 @@ NEAR = 1 / 16
 
 
 def _blocks(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.generic]:
-    """View of an image as (cx, nx, cy, ny, cz, nz), cells and voxels inside them; ValueError unless these are whole."""
+    """View of an image as (cx, nx, cy, ny, cz, nz), cells and voxels inside them."""
     voxels = np.asarray(image)
-    if voxels.ndim != 3 or min(cells) < 1 or any(n % c or n == 0 for n, c in zip(voxels.shape, cells, strict=True)):
-        raise ValueError(f"an image of shape {voxels.shape} can't be divided into {cells} cells of whole voxels")
     (nx, ny, nz), (cx, cy, cz) = voxels.shape, cells
     return voxels.reshape(cx, nx // cx, cy, ny // cy, cz, nz // cz)
 
@@ -112,12 +110,10 @@ def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: boo
     Even of M independent cells the raw fraction is about 1/M, since their average keeps a remainder. The corrected
     fraction replaces the variance of the mean cell, which is the mean covariance of all M^2 pairs of cells, by the mean
     over the pairs of *different* cells. Its expectation is zero for independent cells, so single values may fall below
-    zero; ValueError for one cell. NaN for an image without contrast.
+    zero. NaN for an image without contrast.
     """
     blocks = _blocks(image, cells)
     count = cells[0] * cells[1] * cells[2]
-    if corrected and count < 2:
-        raise ValueError("the corrected share compares different cells, but there is one cell only")
     statistics = _statistics(blocks)
     # law of total variance: within cells and between them
     total = float(statistics.variances.mean() + statistics.means.var())

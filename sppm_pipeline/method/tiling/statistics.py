@@ -19,17 +19,6 @@ from sppm_pipeline.services.arrays import I64, Bools
 _WEIGHTS = {1: 3, 2: 2, 3: 1}
 
 
-def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[I64, I64]:
-    placed, colors = np.asarray(tiles, np.int64), np.asarray(tile_faces, np.int64)
-    if colors.ndim != 2 or colors.shape[1] not in (3, 6):
-        raise ValueError(f"face colors of tiles must have shape (n, 3) or (n, 6), got {colors.shape}")
-    if placed.max(initial=-1) >= len(colors) or placed.min(initial=0) < -1:
-        raise ValueError(f"tiles must be within -1..{len(colors) - 1}")
-    if colors.shape[1] == 3:
-        colors = np.repeat(colors, 2, axis=1)
-    return placed, colors
-
-
 def face_violations(
     interior: ArrayLike, faces: Faces, tile_faces: ArrayLike | None = None, *, periodic: bool = False
 ) -> I64:
@@ -39,21 +28,18 @@ def face_violations(
     tile beside it (once for each such tile), or differs from the face at the opposite end of a periodic assembly.
     `tile_faces`, where `interior` numbers tiles whose faces are fixed, are (n, 3) colors across x, y, z if opposite
     faces are equal, else (n, 6): low x, high x, low y, high y, low z, high z.
-
-    Raises ValueError if a face array or `tile_faces` has the wrong shape, or a tile isn't among its rows.
     """
     cells = np.asarray(interior)
     broken = np.zeros(3, np.int64)
     for axis, there in enumerate(face_presence(cells >= 0, periodic)):
-        if faces[axis].shape != there.shape:
-            raise ValueError(f"faces across axis {axis} must have shape {there.shape}, got {faces[axis].shape}")
         broken[axis] = np.count_nonzero((faces[axis] >= 0) != there)
         planes = np.moveaxis(faces[axis], axis, 0)
         if periodic:
             broken[axis] += np.count_nonzero(planes[0] != planes[-1])
         if tile_faces is not None:
-            placed, colors = _checked_tiles(interior, tile_faces)
-            along = np.moveaxis(placed, axis, 0)
+            colors = np.asarray(tile_faces, np.int64)
+            colors = np.repeat(colors, 2, axis=1) if colors.shape[1] == 3 else colors
+            along = np.moveaxis(cells, axis, 0)
             filled = along >= 0
             broken[axis] += np.count_nonzero(colors[along[filled], 2 * axis] != planes[:-1][filled])
             broken[axis] += np.count_nonzero(colors[along[filled], 2 * axis + 1] != planes[1:][filled])

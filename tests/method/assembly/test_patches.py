@@ -46,13 +46,6 @@ def test_rows_are_trimmed_to_the_cutoff(sets) -> None:
     assert bank.data.size < bank.size.prod(axis=1).sum()
 
 
-def test_bad_arguments(sets) -> None:
-    with pytest.raises(ValueError, match="at least one voxel"):
-        build_bank(sets.pieces(0), 0)
-    with pytest.raises(ValueError, match="cut-off"):
-        build_bank(sets.pieces(0), 8, cutoff=2.0)
-
-
 def test_a_patch_that_fails_leaves_no_other_waiting(sets, monkeypatch) -> None:
     second, raised = threading.Event(), []
 

@@ -96,9 +96,3 @@ def test_canonical_edges_turn_sort_and_drop_duplicates():
     edges, shifts = canonical_edges(edges, shifts)
     assert edges.tolist() == [[0, 2], [1, 3], [1, 3]]
     assert shifts.tolist() == [[0, 0, 0], [-1, 0, 0], [0, 0, 0]]
-
-
-@pytest.mark.parametrize("points", [np.zeros((3, 2)), [[np.nan, 0, 0]]])
-def test_wrong_points_are_refused(points):
-    with pytest.raises(ValueError, match="points must"):
-        candidate_graph(points)

@@ -34,8 +34,3 @@ def test_survives_graphml_and_json():
     again = networkx.node_link_graph(data, edges="edges")
     assert dict(again.nodes(data=True)) == dict(graph.nodes(data=True))
     assert list(again.edges(data=True)) == list(graph.edges(data=True))
-
-
-def test_regions_must_match_the_points():
-    with pytest.raises(ValueError, match="2 regions for 3 points"):
-        networkx_graph(POINTS, EDGES, SHIFTS, ["face", "interior"])

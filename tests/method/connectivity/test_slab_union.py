@@ -73,15 +73,11 @@ def test_a_part_that_is_one_through_other_slabs_only():
         assert np.array_equal(cleared, joined)
 
 
-def test_calls_out_of_order_and_other_layers_are_refused():
+def test_other_layers_are_refused():
     islands = ByteFilter(2, 3)
-    with pytest.raises(ValueError, match="after the layers"):
-        islands.labels()
     islands.observe(np.ones((1, 2, 3), np.uint8))
     union = SlabUnion()
     union.add(islands.labels())
-    with pytest.raises(ValueError, match="once"):
-        islands.labels()
     _, (verdict,) = union.finish()
     second = ByteFilter.decided(2, 3, 1, verdict)
     with pytest.raises(InputError, match="not that of the first"):

@@ -117,18 +117,6 @@ def test_a_second_pass_over_something_else_is_refused():
         islands.clear(other)
 
 
-def test_the_order_of_calls_is_checked():
-    islands = ByteFilter(3, 4)
-    layer = np.zeros((1, 3, 4), np.uint8)
-    with pytest.raises(ValueError, match="after finish"):
-        islands.clear(layer)
-    islands.finish()
-    with pytest.raises(ValueError, match="before finish"):
-        islands.observe(layer)
-    with pytest.raises(ValueError, match="once"):
-        islands.finish()
-
-
 @pytest.mark.parametrize("room", [0, 7, 60, 10_000])
 @pytest.mark.parametrize("look", [0, 20, 10_000])
 def test_loose_runs_that_are_written_down_change_nothing(monkeypatch, room, look):

@@ -11,7 +11,6 @@ from sppm_pipeline.method.kernels.kernels import Kernels, concatenated, empty_ke
 from sppm_pipeline.method.kernels.profiles import (
     TUNNEL_PROFILES,
     TunnelProfile,
-    check_cutoff,
     omega_from_radius,
 )
 from sppm_pipeline.services.grid import Grid, cell_centers
@@ -98,12 +97,6 @@ def test_reach_boxes() -> None:
     assert tunnel_lower == pytest.approx(np.array([[0.1, 0.2, 0.4]]) - tunnel)
     assert tunnel_upper == pytest.approx(np.array([[0.3, 0.9, 0.4]]) + tunnel)
     assert all(len(box) == 0 for box in reach_boxes(empty_kernels()))
-
-
-@pytest.mark.parametrize("cutoff", [0.0, 1e-13, 0.6, math.nan])
-def test_bad_cutoff(cutoff: float) -> None:
-    with pytest.raises(ValueError, match="cut-off"):
-        check_cutoff(cutoff)
 
 
 def test_two_profiles_do_not_mix_but_sets_without_tunnels_fit_any() -> None:

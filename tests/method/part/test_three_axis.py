@@ -57,9 +57,3 @@ def test_half_of_the_ballots_is_not_enough():
     np.testing.assert_array_equal(vote_layers(prepare_three_axis(vertices, tube, GRID), 0, 66).mask, box)
     channel = faces[(normals[:, 1] == 0) & (normals[:, 0] <= 0)]  # along x only one end says inside: three of six
     assert not vote_layers(prepare_three_axis(vertices, channel, GRID), 0, 66).mask.any()
-
-
-def test_nonsense_is_refused():
-    prepared = prepare_three_axis(*KNOT, GRID)
-    with pytest.raises(ValueError, match="not among the 66"):
-        vote_layers(prepared, 0, 67)

@@ -132,10 +132,3 @@ def test_images_without_contrast():
 def test_boolean_and_float_images_agree():
     image = np.random.default_rng(6).random((8, 8, 8)) < 0.5
     assert bragg_share(image, (2, 2, 2)) == bragg_share(image.astype(float), (2, 2, 2))
-
-
-def test_cells_must_be_whole_voxels():
-    with pytest.raises(ValueError, match="divided"):
-        bragg_share(np.ones((5, 4, 4)), (2, 2, 2))
-    with pytest.raises(ValueError, match="one cell"):
-        bragg_share(np.ones((4, 4, 4)), (1, 1, 1))

@@ -45,16 +45,6 @@ def test_ends_of_a_periodic_tiling_must_agree():
     assert not face_violations(interior, faces).any()
 
 
-def test_wrong_arguments():
-    interior, faces = tile_hashed(np.ones((2, 2, 2), bool), 3, 40, 2)
-    with pytest.raises(ValueError, match="faces across axis 0"):
-        face_violations(interior, (faces[1], faces[1], faces[2]))
-    with pytest.raises(ValueError, match="within"):
-        face_violations(np.full((2, 2, 2), 27), faces, tile_colors(3))
-    with pytest.raises(ValueError, match="shape"):
-        face_violations(interior, faces, np.zeros((4, 5)))
-
-
 def obvious_pairs(cells, periodic):
     """All ordered pairs of a cell and a neighbor: (cell, other, axes of the shift)."""
     for place in np.ndindex(cells.shape):

@@ -42,12 +42,7 @@ class Simplified(NamedTuple):
 
 
 def simplify(vertices: F64, faces: I32, tolerance: float) -> Simplified:
-    """Collapse edges while all stays within the tolerance of the surface given.
-
-    Raises ValueError if the tolerance is not above 0.
-    """
-    if not tolerance > 0:
-        raise ValueError(f"the tolerance of a simplified mesh is above 0, not {tolerance}")
+    """Collapse edges while all stays within the tolerance, above 0, of the surface given."""
     given, given_faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32)
     if not len(given_faces):
         return Simplified(given, given_faces, 0.0)
