@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,9 +29,6 @@ from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.arrays import F32, F64, I32, I64, Bools
 from sppm_pipeline.services.grid import Grid
-
-if TYPE_CHECKING:
-    from sppm_pipeline.features.grading.numerics.cell_level import CellSamples, ControlLattice
 
 POINTS = 4
 """Points along each axis of a cell whose mean is that of a map over the cell."""

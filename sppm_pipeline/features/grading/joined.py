@@ -22,7 +22,7 @@ from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
-from sppm_pipeline.method.tiling.lattice import Faces, Laid
+from sppm_pipeline.method.tiling.lattice import Faces
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.stage import Context
@@ -220,7 +220,8 @@ class TwoSizes:
             interior, faces = _rule(tileset).lay(context.rng(which), region, tileset)
             if which == large:
                 interior, faces = np.where(small | between, -1, interior), _without(faces, small)
-            graph = _graph_of(tileset, (interior.astype(np.int32), faces), edge / m)
+            arrays = TilingArrays(interior.astype(np.int32), faces, False, 0)
+            graph = laid_graph(Tiling(tileset, arrays, edge / m), (False, False, False))
             graphs.append(graph._replace(points=graph.points / m).resized(self._profile, 1 / m, 1 / m))
             usual.append(np.full(len(graph.points), usual_kernels(tileset.micro, m)[1]))
         self._graph, self._usual = joined_graphs(graphs), np.concatenate(usual)
@@ -276,10 +277,6 @@ def usual_kernels(micro: Microstructure, m: int) -> tuple[float, float]:
     return float(np.median(omega)), float(
         np.median(kernels.mu * TUNNEL_PROFILES[kernels.profile].scaled_radius(factor))
     )
-
-
-def _graph_of(tileset: TileSet, laid: Laid, edge: float) -> LaidGraph:
-    return laid_graph(Tiling(tileset, TilingArrays(*laid, False, 0), edge), (False, False, False))
 
 
 def _sides(axis: int) -> Iterator[tuple[slice, ...]]:

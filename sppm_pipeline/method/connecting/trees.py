@@ -103,13 +103,9 @@ def minimum_spanning_tree(points: ArrayLike, *, periodic: Periodic = False) -> t
         return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
     inside, cells = wrapped(points, period)
     edges = _prim(inside, period)
-    return canonical_edges(edges, nearest_shifts(inside, cells, period, edges))
-
-
-def nearest_shifts(inside: F64, cells: I64, period: F64, edges: I64) -> I64:
-    """Shifts (m, 3) of the edges to the nearest image, from what `wrapped` returned."""
     i, j = edges[:, 0], edges[:, 1]
-    return nearest_turns(inside[j] - inside[i], period).astype(np.int64) + cells[i] - cells[j]
+    turns = nearest_turns(inside[j] - inside[i], period).astype(np.int64)
+    return canonical_edges(edges, turns + cells[i] - cells[j])
 
 
 def nearest_turns(steps: F64, period: F64) -> F64:

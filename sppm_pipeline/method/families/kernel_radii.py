@@ -9,7 +9,6 @@ import numpy as np
 
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
-from sppm_pipeline.services.arrays import F64
 
 MAX_CHANGE = 0.1
 """Change of a radius, as a fraction, that triggers a warning; a factor of two changes only who is warned."""
@@ -37,7 +36,7 @@ def radii_of(micro: Microstructure) -> Radii:
     if level >= 1:
         return Radii(0.0, 0.0)
     # radii are log-normal: their median is the geometric mean
-    omega, mu = (_geometric_mean(parameters) for parameters in (kernels.omega, kernels.mu))
+    omega, mu = (float(np.exp(np.log(of).mean())) if len(of) else 0.0 for of in (kernels.omega, kernels.mu))
     profile = TUNNEL_PROFILES[kernels.profile]
     return Radii(PORE_PROFILE.radius(omega, level) if omega else 0.0, profile.radius(mu, level) if mu else 0.0)
 
@@ -75,7 +74,3 @@ def radius_warning(micro: Microstructure, asked: Radii) -> str | None:
         f"the level {micro.level:.3g} changes the radii: {changed}; `hold: tunnel_radius` or `hold: pore_radius` keeps "
         "one of them, and `fit_count: true` takes a number of pores that fits both"
     )
-
-
-def _geometric_mean(parameters: F64) -> float:
-    return float(np.exp(np.log(parameters).mean())) if len(parameters) else 0.0

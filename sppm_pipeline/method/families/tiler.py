@@ -185,7 +185,8 @@ class LaidCells(Stage):
     def drawn_size(self, made: Size, laid: float, measured: float | None = None) -> Size:
         """The size of a tiling whose cells are all drawn, with the samples by which its porosity is measured."""
         if measured is None:
-            measured = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
+            per_edge = 0 if self.porosity is None else measured_per_edge(made.cells, self.resolution)
+            measured = made.cells * float(per_edge) ** 3
         counts = {"cells": laid, "samples": measured, "sums": measured * made.body.kernels, "resident": measured}
         return made.at_porosity(self.porosity, **counts)
 
@@ -299,11 +300,6 @@ def measured_per_edge(cells: float, resolution: int) -> int:
     if cells <= MEASURED_CLOSELY:
         return resolution
     return max(min(COARSEST, resolution), int(resolution * (MEASURED_CLOSELY / cells) ** (1 / 3)))
-
-
-def measured_voxels(cells: float, resolution: int) -> float:
-    """Samples that `at_porosity` takes of so many cells."""
-    return cells * float(measured_per_edge(cells, resolution)) ** 3
 
 
 def measured_tiling(made: Size, resolution: int) -> Size:

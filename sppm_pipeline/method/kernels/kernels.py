@@ -98,15 +98,11 @@ def _metrics(metric: F64 | None, n: int) -> F64:
 
 def kernel_reaches(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[F64, F64]:
     """Distances (n,) and (m,) from centers and axes beyond which pores and tunnels lie below the cut-off."""
-    pores, tunnels = _reaches(kernels, cutoff)
+    pores = PORE_PROFILE.reach(kernels.omega, cutoff)
+    tunnels = TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)
     if kernels.pore_metric is None or kernels.tunnel_metric is None:
         return pores, tunnels
     return pores * semi_axes(kernels.pore_metric)[:, 0], tunnels * semi_axes(kernels.tunnel_metric)[:, 0]
-
-
-def _reaches(kernels: Kernels, cutoff: float) -> tuple[F64, F64]:
-    """Reaches in the metric of each kernel."""
-    return PORE_PROFILE.reach(kernels.omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)
 
 
 def steepest(kernels: Kernels) -> tuple[float, float]:

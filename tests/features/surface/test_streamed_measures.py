@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sppm_pipeline.features.surface.mesh_stream import PieceWindow
 from sppm_pipeline.features.surface.numerics.rim_points import number_points
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import StreamedMeasures
 from sppm_pipeline.services.mesh.marching_cubes import marching_cubes_slabs
@@ -41,9 +42,9 @@ def test_pieces_measure_what_the_whole_does(planes: int, rims: bool, hole: bool)
     if hole:
         middle = len(made) // 2
         made[middle] = made[middle][0], made[middle][1][1:]
-    measures = StreamedMeasures(SCALE, ORIGIN)
+    measures, window = StreamedMeasures(SCALE, ORIGIN), PieceWindow(SCALE, ORIGIN)
     for vertices, faces in made:
-        measures.add(vertices * SCALE + ORIGIN, faces, points)
+        measures.add(window.push(vertices), window.base, faces, points)
     vertices = np.concatenate([v for v, _ in made])
     faces = np.concatenate([f for _, f in made])
     number_points(faces, len(vertices))
@@ -56,5 +57,5 @@ def test_pieces_measure_what_the_whole_does(planes: int, rims: bool, hole: bool)
 def test_nothing_bounds_no_solid() -> None:
     measures = StreamedMeasures(1.0, np.zeros(3))
     assert not measures.balanced
-    measures.add(np.zeros((2, 3)), np.empty((0, 3), np.int32), np.empty((0, 3)))
+    measures.add(np.zeros((2, 3)), 0, np.empty((0, 3), np.int32))
     assert not measures.balanced

@@ -43,22 +43,14 @@ class StreamedMeasures:
 
     def __init__(self, scale: float, origin: F64) -> None:
         self._scale, self._origin = scale, origin
-        self._before, self._base = np.empty((0, 3)), 0
         self._start: F64 | None = None
         self._found, self._balance = nothing_found(), 0
 
-    def add(self, vertices: F64, faces: I32, rims: F64) -> None:
-        """Take the next piece: vertices (n, 3) that follow upon those before, faces (m, 3), points on rims (k, 3).
+    def add(self, both: F64, base: int, faces: I32, rims: F64 = _NO_RIMS) -> None:
+        """Take the next piece: vertices (n, 3) behind those of the piece before, faces (m, 3), points on rims (k, 3).
 
-        Corners lie in this piece and the one before; negative numbers -1 - p stand for rims[p].
+        The first vertex has the number `base`; negative numbers -1 - p stand for rims[p].
         """
-        both = np.concatenate([self._before, vertices])
-        self.add_window(both, self._base, faces, rims)
-        self._base += len(self._before)
-        self._before = both[len(self._before) :]
-
-    def add_window(self, both: F64, base: int, faces: I32, rims: F64 = _NO_RIMS) -> None:
-        """`add`, with the vertices of the piece before in front; the first of them has the number `base`."""
         if len(faces):
             if self._start is None:
                 v = int(faces[0, 0])
@@ -89,19 +81,11 @@ class MeshStore:
     """Takes vertices and faces as they come; a mesh beyond `limit` bytes goes into nameless files in `folder`.
 
     The files vanish with it or with the process. Memory for the `expected` numbers of vertices and faces is reserved at
-    once, which is filled in less time. Vertices are stored times the scale, and moved by the origin.
+    once, which is filled in less time.
     """
 
-    def __init__(
-        self,
-        limit: int,
-        folder: Path,
-        expected: tuple[int, int] = (0, 0),
-        scale: float = 1.0,
-        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    ) -> None:
+    def __init__(self, limit: int, folder: Path, expected: tuple[int, int] = (0, 0)) -> None:
         self._limit = limit
-        self._scale, self._origin = scale, np.array(origin)
         self._folder = folder
         fits = 24 * expected[0] + 12 * expected[1] <= limit
         self._vertices = np.empty((expected[0] if fits else 0, 3))
@@ -109,14 +93,11 @@ class MeshStore:
         self._files: tuple[IO[bytes], IO[bytes]] | None = None
         self._n = self._m = 0
 
-    def add(self, vertices: F64, faces: I32) -> F64:
+    def add(self, vertices: F64, faces: I32) -> None:
         """Append vertices (n, 3) and faces (m, 3); of the latter, negative ones -1 - p stand for points on rims.
 
-        Returns the vertices as they are stored, valid until the next ones come. ResourceError if the mesh has more
-        vertices than 32 bits count, OSError if the disk is full.
+        ResourceError if the mesh has more vertices than 32 bits count, OSError if the disk is full.
         """
-        from sppm_pipeline.features.surface.numerics.placing import put_rescaled
-
         n, m = self._n + len(vertices), self._m + len(faces)
         if n > np.iinfo(np.int32).max:
             raise ResourceError(
@@ -126,9 +107,7 @@ class MeshStore:
         if self._files is None and 24 * n + 12 * m > self._limit:
             self._move_to_files()
         if self._files is not None:
-            stored = np.empty(vertices.shape)
-            put_rescaled(vertices, self._scale, self._origin, stored)
-            _write(self._files[0], stored)
+            _write(self._files[0], vertices)
             _write(self._files[1], faces)
         else:
             # no other reference exists yet, whatever a debugger or a profiler counts
@@ -136,11 +115,9 @@ class MeshStore:
                 self._vertices.resize((n, 3), refcheck=False)
             if m > len(self._faces):
                 self._faces.resize((m, 3), refcheck=False)
-            stored = self._vertices[self._n : n]
-            put_rescaled(vertices, self._scale, self._origin, stored)
+            self._vertices[self._n : n] = vertices
             self._faces[self._m : m] = faces
         self._n, self._m = n, m
-        return stored
 
     def finish(self, points: F64) -> Arrays:
         """The mesh, with the points on rims behind the other vertices; read-only if it is in files."""
@@ -316,7 +293,7 @@ def _handed_on(
     faces = 0
     for piece in pieces:
         points = window.push(piece.vertices)
-        measures.add_window(points, window.base, piece.faces)
+        measures.add(points, window.base, piece.faces)
         for reader in readers:
             reader.add(points, window.base, window.known, piece.faces)
         faces += len(piece.faces)
@@ -327,14 +304,16 @@ def _handed_on(
 
 def _stored(stream: MeshStream, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
     """The whole mesh; one that takes more than a share of the memory lies in files."""
-    measures = StreamedMeasures(scale, np.array(origin))
+    measures, window = StreamedMeasures(scale, np.array(origin)), PieceWindow(scale, np.array(origin))
     store: MeshStore | None = None
     for piece in stream:
         if store is None:  # what to expect is known once the first piece is there
-            store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected, scale, origin)
-        measures.add(store.add(piece.vertices, piece.faces), piece.faces, stream.points)
+            store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected)
+        both = window.push(piece.vertices)
+        measures.add(both, window.base, piece.faces, stream.points)
+        store.add(both[window.known :], piece.faces)
     nothing = np.empty((0, 3)), np.empty((0, 3), np.int32)
-    arrays = nothing if store is None else store.finish(stream.points)
+    arrays = nothing if store is None else store.finish(stream.points * scale + np.array(origin))
     return _Extracted(arrays, (len(arrays[0]), len(arrays[1])), measures, stream.findings)
 
 
@@ -362,7 +341,7 @@ def _by_reference(
     vertices *= scale
     vertices += np.array(origin)
     measures = StreamedMeasures(scale, np.array(origin))
-    measures.add(vertices, faces, np.empty((0, 3)))
+    measures.add(vertices, 0, faces)
     return _Extracted((vertices, faces), (len(vertices), len(faces)), measures, sampled.findings)
 
 
