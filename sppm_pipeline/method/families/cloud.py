@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.services.arrays import F64, I64
 
 
@@ -31,6 +32,17 @@ class Piece(NamedTuple):
     region: str
     cell: Cell
     graded: bool = False
+
+
+@dataclass(frozen=True)
+class CellCube(Cell):
+    """A cube of `cells`^3 cells taken for one, as `Piece.periodic` asks: lengths become fractions of the whole cube."""
+
+    cells: int = 1
+
+    def fraction(self, length: Length) -> float:
+        # the unit is the edge of the whole cube
+        return super().fraction(length) / self.cells
 
 
 class Cloud(NamedTuple):

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.families.cloud import Cloud, Piece
+from sppm_pipeline.method.families.cloud import CellCube, Cloud, Piece
 from sppm_pipeline.method.families.interiors import MANY
 from sppm_pipeline.method.families.scattered import joined
 from sppm_pipeline.method.nouns.pores import PoreSet
@@ -98,8 +98,15 @@ class Connector(Stage):
             window_edge,
         )
 
-        if len(cloud.points) <= WINDOW_PORES and not any(cloud.period):
-            return [self._joined(context.rng(0), Piece(cloud.points, False, "interior", cloud.cell))]
+        n, (size, *others) = len(cloud.points), cloud.lattice
+        # `Piece.periodic` means the unit cube: other lattices that repeat go by windows
+        cubic = all(cloud.periodic) and others == [size, size]
+        if n <= WINDOW_PORES and (cubic or not any(cloud.periodic)):
+            # a periodic piece is a unit cube
+            scale = size if cubic else 1
+            cell = CellCube(cloud.cell.edge, cloud.cell.physical, scale) if cubic else cloud.cell
+            edges, shifts = self._joined(context.rng(0), Piece(cloud.points / scale, cubic, "interior", cell))
+            return [(edges, shifts * scale)]
         lattice = Lattice(cloud.points, cloud.first, cloud.lattice, cloud.period)
         margin = WINDOW_MARGIN * cloud.spacing
         boxes = list(window_corners(cloud.lattice, window_edge(cloud.spacing, WINDOW_PORES, margin)))
