@@ -102,12 +102,3 @@ def test_above_the_capacity_is_refused_with_numbers() -> None:
 def test_own_image_is_named() -> None:
     with pytest.raises(DesignError, match="image"):
         check_capacity(1, 1.2, (1.0, 1.0, 1.0), periodic=True)
-
-
-def test_wrong_numbers_of_sides() -> None:
-    with pytest.raises(ValueError, match="3 sides"):
-        box_capacity((1.0, 1.0), 0.1)
-    with pytest.raises(ValueError, match="flags"):
-        box_capacity(1.0, 0.1, (True, False))
-    with pytest.raises(ValueError, match="positive"):
-        largest_spacing(0, (1.0,))
