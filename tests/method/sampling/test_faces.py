@@ -125,8 +125,3 @@ def test_failure_names_the_best_total_and_a_way_out() -> None:
 def test_impossible_wishes(arguments: tuple, words: str) -> None:
     with pytest.raises(DesignError, match=words):
         mirrored_faces(np.random.default_rng(0), *arguments)
-
-
-def test_counts_below_zero_are_refused() -> None:
-    with pytest.raises(ValueError, match="total"):
-        face_counts(-1, 1)
