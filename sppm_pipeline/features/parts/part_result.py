@@ -33,7 +33,8 @@ class PartResult(Report, Viewable):
     mass : float or None
         Of the solid, g; None if its density was not given.
     compliance : float
-        Twice the energy that loads and given displacements store, N mm, weighted over the cases.
+        Twice the energy that loads and given displacements store, N mm, weighted over the cases; of a resolved part on
+        two grids, its limit on fine ones, as is the deflection.
     deflection : float
         Largest displacement of all cases, mm: 99.9 % of the nodes move less.
     stress : float
@@ -42,6 +43,8 @@ class PartResult(Report, Viewable):
         Yield stress over that.
     loose : float
         Share of the solid that nothing holds, which is left out.
+    error : float or None
+        Error bar of compliance and deflection by refinement of the grid, relative; None on one grid.
     cases : mapping of case to numbers
         Compliance, deflection, stress, the force at what is held (x, y, z) and the iterations of each case.
     elements : int
@@ -63,6 +66,7 @@ class PartResult(Report, Viewable):
     safety: float | None = field(default=None, metadata=number(box="safety factor", optional=True))
     mass: float | None = field(default=None, metadata=number(unit="g", box="mass", optional=True))
     loose: float = field(default=0.0, metadata=number())
+    error: float | None = field(default=None, metadata=number(optional=True))
     elements: int = field(default=0, metadata=number())
     cases: Mapping[str, Any] = field(default_factory=dict, metadata=number("*"))
     points: F32 = field(default_factory=lambda: np.zeros((0, 3), np.float32))

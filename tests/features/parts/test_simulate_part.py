@@ -104,7 +104,7 @@ def test_a_resolved_part_balances_and_is_written(part, tmp_path):
     cases = loaded("3 0 0 N on plane x at high", "0 0 -1 N on plane x at high")
     stage = SimulatePart(
         resolution=8, young=YOUNG, poisson=POISSON, solid_density=2.0, yield_stress=50.0, mesh="part.vtu",
-        deformed="part.png", image_size=(200, 160),
+        deformed="part.png", image_size=(200, 160), grids=1,
     )  # fmt: skip
     made, context = run(stage, cases, part, BLOCK, None, directory=tmp_path)
     assert made.way == "resolved"
@@ -138,6 +138,18 @@ def test_a_solid_block_is_pulled_as_a_bar():
     assert made.stress == pytest.approx(3 / 16, rel=0.01)
     assert made.mass is None
     assert made.safety is None
+
+
+def test_coarse_voxels_are_extrapolated_with_an_error_bar(part):
+    cases = loaded("3 0 0 N on plane x at high", "0 0 -1 N on plane x at high")
+    fine, _ = run(SimulatePart(resolution=40, young=YOUNG, grids=1), cases, part, BLOCK, None)
+    raw, _ = run(SimulatePart(resolution=12, young=YOUNG, grids=1), cases, part, BLOCK, None)
+    made, _ = run(SimulatePart(resolution=12, young=YOUNG), cases, part, BLOCK, None)
+    assert raw.error is None
+    assert abs(made.compliance / fine.compliance - 1) < 0.7 * abs(raw.compliance / fine.compliance - 1)
+    for name, one in made.cases.items():
+        assert abs(made.cases[name]["compliance"] / fine.cases[name]["compliance"] - 1) < made.error < 0.3
+        assert one["reaction"] == raw.cases[name]["reaction"]
 
 
 def test_wrong_units_and_missing_inputs_are_refused(part):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,23 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import field_body
 from sppm_pipeline.features.parts.material import LoadedPart, Model, depths_of, middles_of, simulated
 from sppm_pipeline.features.parts.part_result import PartResult
+from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.nouns.conditions import LoadCases
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.arrays import F64
+from sppm_pipeline.services.elastic.refinement import limit_of_compliance, mean_thickness
 from sppm_pipeline.services.elastic.voigt import lame
 from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 VOXEL_BYTES = 80
 """Of the solver in single precision: displacements, residual, direction and forces, moduli and weights, images."""
 
-MIN_MEMBER = 2
-"""Voxels across a member below which its bending is not resolved."""
+COARSEST = 8
+"""Voxels along an edge of the cell from which on a grid half as fine makes sense (heuristic; error bars tell)."""
+
+RELIABLE = 0.15
+"""Error bar above which there is a warning (heuristic): walls of two voxels have 0.13."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +38,9 @@ class SimulatePart(LoadedPart):
     """Load a part and compute how it deforms: the very voxels of the structure, or homogenized by a recipe's law.
 
     Without a `recipe` it is resolved: the field or part before it is cut into voxels, as `fill.implicit` hands it to
-    the printer, skin and drains included; solid that nothing holds is left out and reported. With a `recipe` it is
+    the printer, skin and drains included; solid that nothing holds is left out and reported. Coarse voxels are too
+    stiff: compliance and displacements are extrapolated from this grid and one half as fine to the limit of fine grids,
+    with an error bar; stresses, files and pictures are those of this grid. With a `recipe` it is
     homogenized: elements of half a cell have the stiffness, all 21 constants, of trial cells of the recipe at the
     porosity that a map or the option says, measured in this run. Cells that the surface cuts bear less than whole ones:
     `surface_layer` says how deep that goes where there is no skin. Linear elasticity of small displacements; trilinear
@@ -50,7 +57,11 @@ class SimulatePart(LoadedPart):
         Headline("safety", "safety factor"), Headline("mass", "mass", "g"),
     )  # fmt: skip
 
-    resolution: int = options.resolution(12, note="of a resolved part", maximum=256)
+    resolution: int = options.resolution(16, note="of a resolved part", maximum=256)
+    grids: int | None = option(
+        None, help="grids solved, for an error bar; the limit of fine ones is extrapolated; 2 if omitted where "
+        "voxels count by solid fractions, else 1; of a resolved part", minimum=1, maximum=2,
+    )  # fmt: skip
     fractions: str = option(
         "auto", help="auto: voxels at the surface count by their solid fraction; binary: by their center",
         choices=("auto", "binary"),
@@ -83,8 +94,9 @@ class SimulatePart(LoadedPart):
         grading: Grading | None, recipe: Recipe | None = None,
     ) -> PartResult:  # fmt: skip
         """Make the model, solve its cases, write files."""
+        thickness = 0.0
         if recipe is None:
-            model = self._resolved(context, field)
+            model, thickness = self._resolved(context, field, self.resolution)
         else:
             whole = field.domain if isinstance(field, Part) else part
             if whole is None:
@@ -95,6 +107,11 @@ class SimulatePart(LoadedPart):
             yield_stress=self.yield_stress if recipe is None else None, has_mass=self.solid_density is not None,
             keep=self.mesh is not None,
         )  # fmt: skip
+        if (
+            recipe is None
+            and (self.grids or (2 if self.fractions == "auto" and self.resolution >= COARSEST else 1)) > 1
+        ):
+            result = self._limit(context, field, cases, result, model, thickness)
         if self.mesh is not None:
             self._write_mesh(context, model, full)
         if self.deformed is not None:
@@ -107,7 +124,42 @@ class SimulatePart(LoadedPart):
             Image.fromarray(contact_sheet(drawn, columns=min(3, len(drawn)))).save(context.output(self.deformed))
         return result
 
-    def _resolved(self, context: Context, field: ScalarField | None) -> Model:
+    def _limit(
+        self, context: Context, field: ScalarField | None, cases: LoadCases, fine: PartResult, model: Model,
+        thickness: float,
+    ) -> PartResult:  # fmt: skip
+        """The result with compliance and displacements extrapolated from a grid half as fine, and an error bar."""
+        quiet = cast(Context, Quiet(context))
+        try:
+            rough, _ = self._resolved(quiet, field, max(2, self.resolution // 2))
+            coarse, _ = simulated(
+                quiet, rough, cases, drop=True, tolerance=self.solver_tolerance, iterations=self.iterations,
+                yield_stress=None, has_mass=False,
+            )  # fmt: skip
+        except DesignError as error:
+            context.warn(f"there is no error bar, as a grid half as fine can't be solved: {error}; raise `resolution`")
+            return fine
+        spacings = [1.0, float(np.mean(rough.body.edges) / np.mean(model.body.edges))]
+        bars, numbers = [0.0], {}
+        for name, one in fine.cases.items():
+            limits = {}
+            for key in ("compliance", "deflection"):
+                if one[key]:
+                    limits[key], bar = limit_of_compliance(spacings, [one[key], coarse.cases[name][key]], thickness)
+                    bars.append(bar)
+            numbers[name] = {**one, **limits}
+        if max(bars) > RELIABLE:
+            context.warn(
+                f"the error bar is {max(bars):.0%} of the compliance, as walls and struts are {thickness:.2g} voxels "
+                "thick in the mean: raise `resolution`"
+            )
+        return replace(
+            fine, cases=numbers, error=max(bars), deflection=max(one["deflection"] for one in numbers.values()),
+            compliance=sum(case.weight * numbers[case.name]["compliance"] for case in cases.cases),
+        )  # fmt: skip
+
+    def _resolved(self, context: Context, field: ScalarField | None, resolution: int) -> tuple[Model, float]:
+        """The voxels, and the mean thickness of walls and struts in voxels."""
         if field is None:
             raise ConfigError(
                 "there is neither a structure nor a `recipe`",
@@ -116,13 +168,13 @@ class SimulatePart(LoadedPart):
         cells: Any = field.cells
         if isinstance(field, Part):
             cells = (field.domain.upper - field.domain.lower) / field.physical_edge()
-        size = float(np.prod(np.array(cells) * self.resolution))
+        size = float(np.prod(np.array(cells) * resolution))
         require_memory(
             size * VOXEL_BYTES, f"solving {size:.3g} voxels", "lower `resolution`", limit=context.memory_limit
         )
-        if (coarse := field.coarseness(1 / self.resolution)) is not None:
+        if (coarse := field.coarseness(1 / resolution)) is not None:
             context.warn(coarse)
-        shared = field_body(field, self.resolution, context.threads, binary=self.fractions == "binary")
+        shared = field_body(field, resolution, context.threads, binary=self.fractions == "binary")
         edges = shared.body.edges
         bears = stiff_share(shared.share)
         body = shared.body._replace(solid=bears > 0)
@@ -130,7 +182,8 @@ class SimulatePart(LoadedPart):
             raise DesignError("no voxel is solid", hint="raise `resolution`, or give a lower porosity")
         lam, mu = lame(self.young, self.poisson)
         mass = shared.share * np.float32(self.voxel_mass(edges))
-        return Model(body, np.asarray(bears * np.float32(mu), np.float32), lam / mu, mass)
+        model = Model(body, np.asarray(bears * np.float32(mu), np.float32), lam / mu, mass)
+        return model, mean_thickness(shared.share)
 
     def _homogenized(
         self, context: Context, part: SurfaceMesh, recipe: Recipe, grading: Grading | None, cases: LoadCases

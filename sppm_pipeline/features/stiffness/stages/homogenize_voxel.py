@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
-from sppm_pipeline.features.stiffness.numerics.refinement import Limit, limit_of_grids, mean_thickness, second_order
 from sppm_pipeline.method.families.homogenizer import LOCKING, SidedHomogenizer, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.porosity.fractions import solid_fractions, stiff_share
 from sppm_pipeline.services.arrays import F64
+from sppm_pipeline.services.elastic.refinement import Limit, limit_of_grids, mean_thickness, second_order
 from sppm_pipeline.services.multigrid.transfer import coarsened
 
 if TYPE_CHECKING:

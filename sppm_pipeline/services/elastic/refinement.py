@@ -47,6 +47,24 @@ def second_order(spacings: list[float], values: list[F64]) -> F64:
     return np.asarray(np.tensordot(weights, np.asarray(values, np.float64), 1), np.float64)
 
 
+def rest_of(thickness: float, contrast: float = 1.0) -> float:
+    """Relative error that extrapolation may leave, where walls and struts have this mean thickness in voxels."""
+    return _REST * contrast / thickness**_REST_POWER
+
+
+def limit_of_compliance(spacings: list[float], values: list[float], thickness: float) -> tuple[float, float]:
+    """The limit of a compliance on fine grids, and its relative error bar, from those of two grids, the finest first.
+
+    The reciprocals, which are stiffnesses, are extrapolated as in `limit_of_grids`. Those of bricks fall on finer
+    grids; where they rise, or nothing would be left, the grids are too coarse, and the value is that of the finest.
+    """
+    fine, coarse = (1 / value for value in values)
+    limit = float(second_order(spacings, [np.asarray(fine), np.asarray(coarse)]))
+    if coarse < fine or limit <= 0:
+        return values[0], 3 * abs(coarse - fine) / fine + rest_of(thickness)
+    return 1 / limit, abs(limit - fine) / limit + rest_of(thickness)
+
+
 def limit_of_grids(spacings: list[float], values: list[F64], thickness: float, contrast: float = 1.0) -> Limit:
     """Extrapolate the stiffness (6, 6) of two or more grids to infinitely fine ones, the finest first.
 
@@ -59,7 +77,7 @@ def limit_of_grids(spacings: list[float], values: list[F64], thickness: float, c
     unloaded = np.diag(fine) == 0
     value[unloaded] = 0
     value[:, unloaded] = 0
-    rest = _REST * contrast / thickness**_REST_POWER
+    rest = rest_of(thickness, contrast)
     if np.linalg.eigvalsh(value)[0] < -_INDEFINITE * np.abs(value).max():
         return Limit(fine, np.abs(values[-1] - fine) + rest * np.abs(fine), False)
     return Limit(value, np.abs(value - fine) + rest * np.abs(value), True)

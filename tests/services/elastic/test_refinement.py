@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.stiffness.numerics.refinement import (
-    limit_of_grids,
-    mean_thickness,
-    second_order,
-)
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.services.elastic.refinement import (
+    limit_of_compliance,
+    limit_of_grids,
+    mean_thickness,
+    rest_of,
+    second_order,
+)
 from sppm_pipeline.services.elastic.voigt import isotropic
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -140,3 +142,14 @@ def test_images_of_fractions_are_extrapolated_as_fields(cell):
     bar = HomogenizeVoxel(grids=2).run(PlainContext(), whole)
     assert bar.solver["grids"] == [8, 16]
     assert bar.error is not None
+
+
+def test_reciprocals_of_compliances_are_extrapolated():
+    compliances = [1 / (3 + 0.2 * h**2) for h in (1.0, 2.0)]
+    limit, error = limit_of_compliance([1.0, 2.0], compliances, 5.0)
+    assert limit == pytest.approx(1 / 3)
+    assert error == pytest.approx(0.2 / 3 + rest_of(5.0))
+    rising = [1.0, 1.1]  # stiffer on the finer grid
+    limit, error = limit_of_compliance([1.0, 2.0], rising, 5.0)
+    assert limit == 1.0
+    assert error == pytest.approx(3 * (1 - 1 / 1.1) + rest_of(5.0))
