@@ -49,7 +49,7 @@ def second_order(spacings: list[float], values: list[F64]) -> F64:
 
 def rest_of(thickness: float, contrast: float = 1.0) -> float:
     """Relative error that extrapolation may leave, where walls and struts have this mean thickness in voxels."""
-    return _REST * contrast / thickness**_REST_POWER
+    return float(_REST * contrast / thickness**_REST_POWER)
 
 
 def limit_of_compliance(spacings: list[float], values: list[float], thickness: float) -> tuple[float, float]:
