@@ -38,8 +38,8 @@ class RayScene(NamedTuple):
     starts: I64
     owners: I32
     axes: F64
-    # target (3), distance, scale, column and row of the frame, then the plane: normal (3), place;
-    # and the width of the picture
+    # target (3), distance, scale, column and row of the frame, then two planes: normal (3), place of each; how many of
+    # them there are, and the width of the picture
     numbers: F64
     colors: U8
 
@@ -225,7 +225,7 @@ def trace(
     distance, scale = numbers[3], numbers[4]
     depths, found, line = np.empty(owners.size), np.empty(owners.size, np.int64), np.empty(6)
     flat, mean = np.zeros(3), np.zeros(3)
-    width = np.int64(numbers[11])
+    width, planes = np.int64(numbers[16]), np.int64(numbers[15])
     for p in range(start, stop):
         pixel = pixels[p]
         for place in range(offsets.shape[0]):
@@ -235,17 +235,25 @@ def trace(
                 continue
             # the point at depth d is line[:3] + d * line[3:]
             right, up = (x - numbers[5]) / scale, (numbers[6] - y) / scale
-            toward, ahead = 0.0, numbers[10]
+            toward, ahead, other, beyond = 0.0, numbers[10], 0.0, numbers[14]
             for axis in range(3):
                 aside = right * axes[0, axis] + up * axes[1, axis]
                 line[axis] = numbers[axis] + aside
                 line[3 + axis] = axes[2, axis] - (aside / distance if distance > 0.0 else 0.0)
                 toward += numbers[7 + axis] * line[3 + axis]
                 ahead -= numbers[7 + axis] * line[axis]
+                other += numbers[11 + axis] * line[3 + axis]
+                beyond -= numbers[11 + axis] * line[axis]
             # the section keeps the depths between these
             front = ahead / toward if toward > 0.0 else np.inf
             back = ahead / toward if toward < 0.0 else -np.inf
-            if toward == 0.0 and ahead < 0.0:
+            cut = 7
+            if planes == 2:  # what is beyond both is left out, and both face the viewer
+                first_end = front if toward > 0.0 else np.inf if ahead >= 0.0 else -np.inf
+                second_end = beyond / other if other > 0.0 else np.inf if beyond >= 0.0 else -np.inf
+                front, back = max(first_end, second_end), -np.inf
+                cut = 7 if first_end > second_end else 11
+            if front == -np.inf or (planes == 1 and toward == 0.0 and ahead < 0.0):
                 continue
             winding, entry, f = 0, 0.0, int(np.int64(0))
             for s in range(n - 1):
@@ -280,7 +288,7 @@ def trace(
                         shown = _SKIN
                 if kind == _SECTION:
                     for axis in range(3):
-                        mean[axis] = numbers[7 + axis]
+                        mean[axis] = numbers[cut + axis]
                 elif kind == _DOMAIN:
                     wb, wc = _weights(places, faces[f, 0], faces[f, 1], faces[f, 2], x, y)
                     normal_on(vertices, faces, normals, f, wb, wc, True, flat, mean)

@@ -14,6 +14,7 @@ import numpy as np
 
 from sppm_pipeline.services.arrays import F32, F64, I64, U8
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.pictures.camera import Frame
 from sppm_pipeline.services.threads import in_bands
 
 Color = tuple[int, int, int]
@@ -22,6 +23,25 @@ Color = tuple[int, int, int]
 BONE: Color = (226, 214, 192)
 CUT: Color = (212, 124, 88)
 SKIN: Color = (120, 150, 178)
+OWN: Color = (204, 196, 180)
+"""Of the surface of a part, where it is solid, which is no cut."""
+
+
+class Material(NamedTuple):
+    """A color of the microstructure, and of the part's own surface and skin, and how both shine."""
+
+    color: Color
+    own: Color
+    gloss: float = 0.05  # strength of the highlight
+    metal: float = 0.0  # share of the light that is a reflection of a bright sky and a dark ground
+
+
+MATERIALS = {
+    "bone": Material(BONE, OWN),
+    "resin": Material((150, 166, 186), (162, 177, 195), 0.22),
+    "titanium": Material((176, 174, 170), (186, 184, 180), 0.18, 0.6),
+}
+"""Materials by name; colors and shine are chosen by eye."""
 
 Background = str | Color
 
@@ -146,8 +166,12 @@ def light_of(
     pores: np.float32,
     strength: np.float32,
     linear: F32,
+    finish: F32,
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Light (red, green, blue) from a point: its normal, its color, and how much of creases and pores hides it."""
+    """Light (red, green, blue) from a point: its normal, its color, and how much of creases and pores hides it.
+
+    `finish` are the gloss and the metal of a `Material`.
+    """
     # Unit vectors towards a warm key light at the upper left, a cool fill light at the right, and half way to the key.
     kx, ky, kz = np.float32(-0.4603), np.float32(0.6554), np.float32(0.5989)
     fx, fy, fz = np.float32(0.8111), np.float32(0.1217), np.float32(0.5721)
@@ -168,11 +192,16 @@ def light_of(
     warm = np.float32(0.82) * key * direct
     cool = np.float32(0.36) * fill * direct
     round_ = (np.float32(0.17) + np.float32(0.22) * sky) * open_
-    gloss = np.float32(0.05) * shine * direct
+    gloss = finish[0] * shine * direct
+    # what a mirror shows of a room: how far up it looks from there, with a bright band above the horizon
+    metal, high = finish[1], np.float32(2.0) * nz * ny
+    room = np.float32(0.30) + np.float32(0.55) * max(high, np.float32(0.0))
+    room += np.float32(1.1) / (np.float32(1.0) + np.float32(24.0) * (high - np.float32(0.55)) ** 2)
+    mirror, dull = metal * room * (np.float32(0.15) + np.float32(0.85) * open_), np.float32(1.0) - metal
     return (
-        linear[color[0]] * (warm * np.float32(1.03) + cool * np.float32(0.90) + round_) + gloss,
-        linear[color[1]] * (warm + cool + round_) + gloss,
-        linear[color[2]] * (warm * np.float32(0.95) + cool * np.float32(1.12) + round_) + gloss,
+        linear[color[0]] * (dull * (warm * np.float32(1.03) + cool * np.float32(0.90) + round_) + mirror) + gloss,
+        linear[color[1]] * (dull * (warm + cool + round_) + mirror) + gloss,
+        linear[color[2]] * (dull * (warm * np.float32(0.95) + cool * np.float32(1.12) + round_) + mirror) + gloss,
     )
 
 
@@ -185,6 +214,7 @@ def _lit(
     pores: F32,
     strength: np.float32,
     linear: F32,
+    finish: F32,
     fine: int,
     light: F32,
 ) -> None:
@@ -199,7 +229,7 @@ def _lit(
                         continue
                     a, b, d = light_of(
                         normal[rr, cc, 0], normal[rr, cc, 1], normal[rr, cc, 2], color[rr, cc],
-                        creases[rr, cc], pores[rr, cc], strength, linear,
+                        creases[rr, cc], pores[rr, cc], strength, linear, finish,
                     )  # fmt: skip
                     red += a
                     green += b
@@ -222,6 +252,7 @@ def add_light(
     pores: F32,
     strength: np.float32,
     linear: F32,
+    finish: F32,
     light: F32,
     start: int,
     stop: int,
@@ -243,7 +274,8 @@ def add_light(
                         near = gap
                         crease, pore = creases[rr, cc], pores[rr, cc]
             red, green, blue = light_of(
-                normals[p, s, 0], normals[p, s, 1], normals[p, s, 2], colors[p, s], crease, pore, strength, linear
+                normals[p, s, 0], normals[p, s, 1], normals[p, s, 2], colors[p, s], crease, pore, strength, linear,
+                finish,
             )  # fmt: skip
             light[r, c, 0] += red
             light[r, c, 1] += green
@@ -288,7 +320,78 @@ def hidden_sky(seen: Seen, threads: int = 1) -> Hidden:
     return Hidden(*found)
 
 
-def lit(seen: Seen, hidden: Hidden | None, occlusion: float, supersampling: int = 1) -> F32:
+@jit
+def _shaded(depth: F32, reach: float, shade: F32, start: int, stop: int) -> None:
+    """Share of the key light that each sample does not get, as something seen is in its way, in some rows."""
+    height, width = depth.shape
+    span = np.float32(0.8) * reach
+    for r in range(start, stop):
+        for c in range(width):
+            here = depth[r, c]
+            shade[r, c] = 0.0
+            if here == -np.inf:
+                continue
+            # steps grow with the distance, and begin elsewhere in neighboring samples, which a mean unites
+            most, step = np.float32(0.0), np.float32(1.5) + np.float32(0.25) * np.float32((r & 3) * 4 + (c & 3))
+            way = step
+            while way < reach:
+                rr, cc = int(r - way * np.float32(0.6554)), int(c - way * np.float32(0.4603))
+                if not (0 <= rr < height and 0 <= cc < width):
+                    break
+                above = depth[rr, cc] - (here + way * np.float32(0.5989))
+                # what is far in front of the ray does not reach back to it
+                if above > np.float32(1.0):
+                    edge = min((above - np.float32(1.0)) / (np.float32(0.08) * way + np.float32(1.0)), np.float32(1.0))
+                    most = max(most, edge * min(np.float32(1.0), span / above) * (np.float32(1.0) - way / reach))
+                way += step
+                step *= np.float32(1.08)
+            shade[r, c] = most
+
+
+def shaded(seen: Seen, threads: int = 1) -> F32:
+    """Soft shadows on a scene, as shares of the key light (h, w); rays of light pass through the depth image, so that
+    only what is seen casts a shadow."""
+    height, width = seen.depth.shape
+    raw, soft = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
+    reach = 0.3 * height
+    in_bands(partial(_shaded, seen.depth, reach, raw), height, threads)
+    in_bands(partial(_smoothed, seen.depth, raw, reach, soft), height, threads)
+    return soft
+
+
+def on_ground(seen: Seen, frame: Frame, light: F32) -> None:
+    """Put the shadow that a part casts on the ground below it behind the light of a picture, and darken what is far.
+
+    The ground is the level of the lowest surface that is seen, and the light comes from above the viewer, to the left.
+    `light` (h, w, 4), as `lit` gives it, is changed; a shadow is black with the opacity of the fourth channel.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    height, width = seen.depth.shape
+    rows, columns = np.nonzero(np.isfinite(seen.depth))
+    if not len(rows):
+        return
+    depth = seen.depth[rows, columns].astype(np.float64)
+    low, high = float(depth.min()), float(depth.max())
+    light[rows, columns, :3] *= (0.72 + 0.28 * (depth - low) / max(high - low, 1e-9))[:, None]
+    right, up, toward = frame.axes
+    across, above = columns - frame.column, frame.row - rows
+    z = across * right[2] + above * up[2] + depth * toward[2]
+    # the way of the light to the ground, in the frame of the picture
+    way = np.array([0.35, 0.0, 0.0]) + np.array([-right[2], -up[2], -toward[2]])
+    drop = (z - z.min()) / -(way[0] * right[2] + way[1] * up[2] + way[2] * toward[2])
+    c = np.rint(columns + drop * way[0]).astype(int)
+    r = np.rint(rows - drop * way[1]).astype(int)
+    there = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+    ground = np.zeros((height, width), np.float32)
+    ground[r[there], c[there]] = 1.0
+    dark = 0.35 * gaussian_filter(ground, 0.006 * height) + 0.25 * gaussian_filter(ground, 0.03 * height)
+    light[..., 3] += (1 - light[..., 3]) * dark
+
+
+def lit(
+    seen: Seen, hidden: Hidden | None, occlusion: float, supersampling: int = 1, material: Material = MATERIALS["bone"]
+) -> F32:
     """Light of each pixel, (h, w, 4) float32: red, green and blue of what is seen, and the share of samples with any.
 
     Without `hidden` nothing is in the shade of anything.
@@ -296,8 +399,14 @@ def lit(seen: Seen, hidden: Hidden | None, occlusion: float, supersampling: int 
     height, width = (n // supersampling for n in seen.depth.shape)
     creases, pores = hidden or (np.zeros_like(seen.depth),) * 2
     light = np.empty((height, width, 4), np.float32)
-    _lit(seen.normal, seen.depth, seen.color, creases, pores, np.float32(occlusion), LINEAR, supersampling, light)
+    strength, finish = np.float32(occlusion), finish_of(material)
+    _lit(seen.normal, seen.depth, seen.color, creases, pores, strength, LINEAR, finish, supersampling, light)
     return light
+
+
+def finish_of(material: Material) -> F32:
+    """Gloss and metal as kernels take them."""
+    return np.array([material.gloss, material.metal], np.float32)
 
 
 def check_background(background: Background) -> None:

@@ -108,7 +108,7 @@ def test_a_mesh_is_cut_as_the_solid_that_it_bounds(tmp_path):
     assert np.abs(whole[30, 30] - cut[30, 30]).max() > 20  # the color of cuts
     assert (colors(background="transparent")[..., 3] / 255).mean() == pytest.approx(0.92**2, abs=0.01)
     open_mesh = SurfaceMesh(BOX.vertices, BOX.faces[1:])
-    with pytest.raises(ConfigError, match="`section` cuts solids"):
+    with pytest.raises(ConfigError, match="are for solids"):
         WritePicture(section=0.5).run(PlainContext(directory=tmp_path), open_mesh)
 
 

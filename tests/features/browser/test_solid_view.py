@@ -9,6 +9,7 @@ from sppm_pipeline.features.browser.live.solid_view import Colors, Solid, render
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.camera import Camera, framed, projected
 from sppm_pipeline.services.pictures.mesh_view import render_mesh
+from sppm_pipeline.services.pictures.shading import MATERIALS
 
 N = 32
 RED, GREEN, BLUE, GRAY = (200, 0, 0), (0, 200, 0), (0, 0, 200), (90, 90, 90)
@@ -88,7 +89,7 @@ def test_whose_surface_has_which_color():
     skin = (np.minimum.reduce([1 - abs(x), 1 - abs(y), 1 - abs(z)]) - 0.2).astype(np.float32)
     solid = Solid(GRID, BOX, SIDES, 0.9 - radii(), skin)
     assert set(np.unique(hue(view(solid)[0]))) == {-1, 2}
-    cut, frame = view(solid, section=((0.0, -1.0, 0.0), 0.0))
+    cut, frame = view(solid, section=[((0.0, -1.0, 0.0), 0.0)])
     seen, middle = hue(cut), projected(frame, np.zeros((1, 3)))[0]
 
     def at(right, up):
@@ -108,7 +109,7 @@ def test_a_section_keeps_the_far_side(axis):
     normal = np.zeros(3)
     normal[axis] = 1.0 if axis != 1 else -1.0
     solid = Solid(GRID, BOX, SIDES, SOLID)
-    cut, frame = view(solid, camera, section=(normal, -0.2), antialias=True)
+    cut, frame = view(solid, camera, section=[(normal, -0.2)], antialias=True)
     half = BOX.copy()
     half[:, axis] = np.clip(half[:, axis] * normal[axis], -1, -0.2) * normal[axis]
     small = render_solid(
@@ -119,6 +120,45 @@ def test_a_section_keeps_the_far_side(axis):
     gray = (np.ptp(cut[..., :3].astype(int), axis=2) < 60) & (cut[..., 3] > 0)
     assert gray.sum() > 0.15 * (cut[..., 3] > 0).sum()
     assert not ((np.ptp(small[..., :3].astype(int), axis=2) < 60) & (small[..., 3] == 255)).any()
+
+
+@pytest.mark.parametrize("camera", [Camera(-60, 25), Camera(-45, 60), FRONT, Camera(-60, 25, 30)])
+def test_a_corner_is_left_out_where_both_planes_are_passed(camera):
+    _, y, x = nodes()
+    # the same as a field, whose surface is off by less than a sample
+    void = np.minimum(x - 0.2, -y - 0.3).astype(np.float32)
+    planes = [((1.0, 0.0, 0.0), 0.2), ((0.0, -1.0, 0.0), 0.3)]
+    cut, _ = view(Solid(GRID, BOX, SIDES, SOLID), camera, section=planes, antialias=True)
+    field = view(Solid(GRID, BOX, SIDES, void), camera, antialias=True)[0]
+    apart = np.abs(cut[..., 3].astype(int) - field[..., 3])
+    assert apart.sum() / 255 < 0.02 * (field[..., 3] > 0).sum()
+    gray = (np.ptp(cut[..., :3].astype(int), axis=2) < 60) & (cut[..., 3] > 0)
+    red = hue(field) == 0  # the surface of the field, where the other has its cuts
+    assert gray.sum() > 0.1 * (cut[..., 3] > 0).sum()
+    assert (gray != red).sum() < 0.1 * gray.sum()
+
+
+def test_a_ball_casts_its_shadow_on_the_ground_and_on_itself():
+    solid, camera = Solid(GRID, BOX, SIDES, radii() - 0.5), Camera(-60, 25)
+    bare, _ = view(solid, camera)
+    dark = view(solid, camera, shadow=True)[0]
+    ball = bare[..., 3] == 255
+    assert (dark[..., :3][ball] <= bare[..., :3][ball]).mean() > 0.99
+    fallen = ~ball & (dark[..., 3] > 20)
+    assert fallen.sum() > 0.1 * ball.sum()
+    assert (dark[fallen][:, :3] < 60).all()  # black, of some opacity
+    assert np.nonzero(fallen)[0].mean() > np.nonzero(ball)[0].mean()  # below
+    again = view(solid, camera, shadow=True, threads=2)[0]
+    assert np.array_equal(dark, again)
+
+
+def test_materials_shine():
+    solid, camera = Solid(GRID, BOX, SIDES, radii() - 0.8), Camera(-60, 25)
+    grays = Colors(GRAY, GRAY, GRAY, GRAY)
+    seen = {name: view(solid, camera, colors=grays, material=MATERIALS[name])[0] for name in MATERIALS}
+    brightest = {name: picture[picture[..., 3] == 255][:, :3].max() for name, picture in seen.items()}
+    assert brightest["bone"] < brightest["resin"] < 255
+    assert brightest["bone"] < brightest["titanium"] < 255
 
 
 def test_a_part_that_its_triangles_do_not_bound_ends_at_its_field():

@@ -17,6 +17,7 @@ from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.stages.write_graph import WriteGraph
 from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.table import Table
+from sppm_pipeline.services.pictures.shading import MATERIALS
 from sppm_pipeline.testing.plain_context import PlainContext
 
 
@@ -48,6 +49,18 @@ def test_a_section_shows_the_inside(wang_tiling, ball, tmp_path):
     whole = picture(WritePicture(image_size=(160, 120), resolution=10), part, tmp_path)[1]
     half = picture(WritePicture(image_size=(160, 120), resolution=10, section=0.5), part, tmp_path)[1]
     assert not np.array_equal(whole, half)
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_the_surface_of_a_part_is_never_colored_like_a_cut(wang_tiling, ball, tmp_path, material):
+    view = {"image_size": (160, 120), "resolution": 10, "annotate": False, "material": material}
+
+    def copper(**options):
+        pixels = picture(WritePicture(**view, **options), Part(wang_tiling, ball, 0.5), tmp_path)[1].astype(int)
+        return (pixels[..., 0] > 1.3 * pixels[..., 1]).mean()
+
+    assert copper() == copper(shadow=True) == copper(section=0.5, section_along="corner", cut="plain") == 0
+    assert copper(section=0.5, section_along="corner") > 0.01
 
 
 def test_voxels_in_colors_of_their_phases(tmp_path):

@@ -60,37 +60,42 @@ class Scene:
     removed_share: float  # islands that were left out, as a share of the solid samples
     colors: Colors
 
-    def frame(self, size: tuple[int, int], camera: Camera) -> Frame:
+    def frame(self, size: tuple[int, int], camera: Camera, margin: float = 0.04) -> Frame:
         """The camera, pointed at the whole, cut or not."""
         from sppm_pipeline.services.pictures.camera import framed
 
-        return framed(camera, self.solid.vertices[np.unique(self.solid.faces)], size)
+        return framed(camera, self.solid.vertices[np.unique(self.solid.faces)], size, margin)
 
     def picture(
         self, size: tuple[int, int], camera: Camera, *, section: float | None = None, section_along: str = "y",
-        annotate: bool = False, background: Background = "light", threads: int = 1,
+        annotate: bool = False, background: Background = "light", material: str = "bone", shadow: bool = False,
+        threads: int = 1,
     ) -> U8:  # fmt: skip
         """A view (height, width, 3), or with a transparent background (height, width, 4) uint8, of `size` (width,
         height).
 
         With a `section` only this fraction along `section_along` is kept, the side away from the viewer, to look
-        inside; `annotate` draws the axes and a scale bar.
+        inside; along "corner" what is beyond it along both x and y is left out. `annotate` draws the axes and a scale
+        bar; for `material` and `shadow` see `render_solid`.
         """
         from sppm_pipeline.features.browser.live.solid_view import render_solid
+        from sppm_pipeline.services.pictures.shading import MATERIALS
         from sppm_pipeline.services.pictures.sheets import annotated
 
-        frame, plane = self.frame(size, camera), None
-        if section is not None:
-            axis = "xyz".index(section_along)
+        frame, planes = self.frame(size, camera, 0.1 if shadow else 0.04), []  # a shadow needs room
+        for axis in (
+            () if section is None else ("xyz".index(a) for a in {"corner": "xy"}.get(section_along, section_along))
+        ):
             side = 1.0 if frame.axes[2, axis] > 0 else -1.0
             corners = side * self.solid.vertices[np.unique(self.solid.faces), axis]
             normal = [0.0, 0.0, 0.0]
             normal[axis] = side
             low, high = float(corners.min()), float(corners.max())
-            plane = normal, low + section * (high - low)
+            planes.append((normal, low + (section or 0.0) * (high - low)))
         picture = render_solid(
-            self.solid, frame, size, section=plane, colors=self.colors, background=background, threads=threads
-        )
+            self.solid, frame, size, section=planes, colors=self.colors, background=background,
+            material=MATERIALS[material], shadow=shadow, threads=threads,
+        )  # fmt: skip
         return annotated(picture, frame, self.unit_mm, dark=background == "dark") if annotate else picture
 
 
@@ -108,11 +113,13 @@ def scene_of(
     while n > 4 and math.prod(grid.shape) > max_samples:
         n -= 1
         grid = node_grid(what, n)
+    colors = COLORS
     if isinstance(what, Part):
         solid, removed = _part_solid(what, grid, threads)
     else:
+        colors = COLORS._replace(domain=COLORS.section)  # a cell ends where it is cut out of its copies
         solid, removed = Solid(grid, *_box(grid), _smooth(what, what.sample_zyx(grid, 0, grid.shape[2], threads))), 0.0
-    return Scene(solid, what.edge_mm, removed, COLORS)
+    return Scene(solid, what.edge_mm, removed, colors)
 
 
 def _box(grid: Grid) -> tuple[F64, NDArray[np.integer]]:

@@ -24,16 +24,22 @@ from sppm_pipeline.services.pictures.shading import (
     BONE,
     CUT,
     LINEAR,
+    MATERIALS,
+    OWN,
     SKIN,
     Background,
     Color,
     Hidden,
+    Material,
     Seen,
     add_light,
     empty_seen,
+    finish_of,
     hidden_sky,
     lit,
     on_background,
+    on_ground,
+    shaded,
 )
 from sppm_pipeline.services.threads import in_bands
 
@@ -66,11 +72,15 @@ class Solid(NamedTuple):
     outer: F32 = _NO_VALUES
 
 
+Plane = tuple[Sequence[float], float]
+"""The unit vector towards what is left out, where the viewer is, and the distance along it from the origin."""
+
+
 class Colors(NamedTuple):
     """Colors of the microstructure's surface, the surface of the part, the skin, and the section plane."""
 
     field: Color = BONE
-    domain: Color = CUT
+    domain: Color = OWN
     skin: Color = SKIN
     section: Color = CUT
 
@@ -114,18 +124,18 @@ def _edges(seen: Seen) -> I64:
 
 
 def render_solid(
-    solid: Solid, frame: Frame, size: tuple[int, int], *, section: tuple[Sequence[float], float] | None = None,
-    colors: Colors = COLORS, occlusion: float = 1.0, background: Background = "light", antialias: bool = True,
-    threads: int = 1,
+    solid: Solid, frame: Frame, size: tuple[int, int], *, section: Sequence[Plane] = (), colors: Colors = COLORS,
+    occlusion: float = 1.0, background: Background = "light", antialias: bool = True,
+    material: Material = MATERIALS["bone"], shadow: bool = False, threads: int = 1,
 ) -> U8:  # fmt: skip
     """Picture (height, width, 3) uint8 (sRGB) of a solid, with the opacity as a fourth channel if the background is
     transparent.
 
-    `frame` is the camera, pointed at the solid for a picture of this `size` (width, height). The plane `section` is
-    given by the unit vector towards what is left out, where the viewer is, and its distance along that from the
-    origin. `occlusion` is the strength of the darkening of pores and creases; 0 leaves it out. The `background` is
-    "light" or "dark", which are gradients, "transparent", or one color. With `antialias` pixels on edges get eight
-    rays more.
+    `frame` is the camera, pointed at the solid for a picture of this `size` (width, height). What is beyond all planes
+    of `section`, one or two, is left out. `occlusion` is the strength of the darkening of pores and creases; 0 leaves
+    it out. The `background` is "light" or "dark", which are gradients, "transparent", or one color. With `antialias`
+    pixels on edges get eight rays more; with `shadow` the part casts soft shadows on itself and on the ground, and what
+    is far is darker.
     """
     width, height = size
     scene = _scene(solid, frame, size, section, colors)
@@ -137,18 +147,20 @@ def render_solid(
         seen.normal[rows, columns] = found.normal[:, 0]
         seen.color[rows, columns] = found.color[:, 0]
     hidden = hidden_sky(seen, threads) if occlusion > 0.0 else Hidden(*(np.zeros_like(seen.depth),) * 2)
-    light = lit(seen, hidden, occlusion)
+    if shadow:
+        hidden = hidden._replace(pores=1 - (1 - hidden.pores) * (1 - np.float32(0.5) * shaded(seen, threads)))
+    light = lit(seen, hidden, occlusion, material=material)
     if antialias:
-        strength = np.float32(occlusion)
+        strength, finish = np.float32(occlusion), finish_of(material)
         for pixels, more in _traced(scene, _edges(seen), _PLACES + _ASIDE, threads):
-            add = partial(add_light, pixels, *more, seen.depth, *hidden, strength, LINEAR, light)
+            add = partial(add_light, pixels, *more, seen.depth, *hidden, strength, LINEAR, finish, light)
             in_bands(add, len(pixels), threads)
+    if shadow:
+        on_ground(seen, frame, light)
     return on_background(light, background)
 
 
-def _scene(
-    solid: Solid, frame: Frame, size: tuple[int, int], section: tuple[Sequence[float], float] | None, colors: Colors
-) -> RayScene:
+def _scene(solid: Solid, frame: Frame, size: tuple[int, int], section: Sequence[Plane], colors: Colors) -> RayScene:
     width, height = size
     origin, h = np.array(solid.grid.origin), solid.grid.spacing[0]
     faces = np.ascontiguousarray(solid.faces, np.int64)
@@ -161,10 +173,11 @@ def _scene(
     list_overlaps(places, faces, width, height, starts, owners)
     # lengths of the frame in spacings; nearness becomes the reciprocal of such a length
     places[:, 2] *= h if frame.distance > 0.0 else 1 / h
-    normal, place = section or ((0.0, 0.0, 0.0), 0.0)
+    planes: list[float] = []
+    for normal, place in [*section, *([((0.0, 0.0, 0.0), 0.0)] * 2)][:2]:
+        planes += [*normal, (place - float(np.dot(normal, origin))) / h]
     target = (np.asarray(frame.target) - origin) / h
-    cut = (place - float(np.dot(normal, origin))) / h
-    numbers = [*target, frame.distance / h, frame.scale * h, frame.column, frame.row, *normal, cut, width]
+    numbers = [*target, frame.distance / h, frame.scale * h, frame.column, frame.row, *planes, len(section), width]
     return RayScene(
         solid.field, solid.skin, solid.outer, _void(solid), vertices, faces, vertex_normals(vertices, faces), places,
         starts, owners, np.asarray(frame.axes), np.array(numbers, np.float64), np.array(colors, np.uint8),

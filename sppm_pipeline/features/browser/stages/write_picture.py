@@ -18,7 +18,7 @@ from sppm_pipeline.features.browser.live.pictures import (
     voxel_picture,
 )
 from sppm_pipeline.services.arrays import F64, I64, U8
-from sppm_pipeline.services.pictures.shading import CUT
+from sppm_pipeline.services.pictures.shading import CUT, MATERIALS
 from sppm_pipeline.stage import Context, Stage, option
 
 MAX_SHOWN = 20_000
@@ -170,13 +170,14 @@ class WritePicture(Stage):
     Give `from` to choose them.
 
     What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
-    from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
-    colors of their own. Voxels have the color of their phase: bone, blue, orange, green, pink, sky, red.
+    from the layers of a part are not shown, and their share of the solid is reported. Cut faces have a color of their
+    own, and with the material "bone" the skin; `cut: plain` gives all of them that of the material. Voxels have the
+    color of their phase: bone, blue, orange, green, pink, sky, red.
     """
 
     name: ClassVar[str] = "write.picture"
     advice: ClassVar[str] = "lower `resolution` or `image_size`"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
     reported: ClassVar[tuple[str, ...]] = ("removed_share",)
 
     path: str = options.write_path("picture.png", suffixes=(".png",))
@@ -185,8 +186,14 @@ class WritePicture(Stage):
     azimuth: float = options.azimuth(-60.0)
     elevation: float = options.elevation(25.0)
     section: float | None = options.section(None)
-    section_along: str = option("y", help="axis across which `section` cuts", choices=("x", "y", "z"))
-    cut: str = option("copper", help="color of the plane of `section`", choices=tuple(CUTS))
+    section_along: str = option(
+        "y",
+        help="axis across which `section` cuts; at a corner only what is beyond it along x and y is left out",
+        choices=("x", "y", "z", "corner"),
+    )
+    cut: str = option("copper", help="color of cut faces; plain is that of the material", choices=(*CUTS, "plain"))
+    material: str = option("bone", help="color and shine of a solid", choices=tuple(MATERIALS))
+    shadow: bool = option(False, help="soft shadows of a solid, on itself and on the ground, and depth")
     annotate: bool = option(True, help="draw the directions of the axes and a scale bar; not on sheets of tiles")
     background: str = option("light", help="what is behind the part", choices=("light", "dark", "transparent"))
 
@@ -236,7 +243,7 @@ class WritePicture(Stage):
                 what, self.image_size, camera, section=self.section, section_along=self.section_along,
                 annotate=self.annotate, background=self.background, threads=threads,
             )  # fmt: skip
-        elif isinstance(what, SurfaceMesh) and self.section is None:
+        elif isinstance(what, SurfaceMesh) and self.section is None and self.material == "bone" and not self.shadow:
             picture = mesh_picture(
                 what.vertices, what.faces, self.image_size, camera, annotate=self.annotate,
                 background=self.background, threads=threads,
@@ -244,15 +251,21 @@ class WritePicture(Stage):
         else:
             if isinstance(what, SurfaceMesh) and not what.bounds_solid:
                 raise ConfigError(
-                    "`section` cuts solids, and this mesh has a border, so that nothing is inside of it",
-                    hint="leave out `section`, or close the mesh",
+                    "`section`, `material` and `shadow` are for solids, and this mesh has a border, so that nothing is "
+                    "inside of it",
+                    hint="leave them out, or close the mesh",
                 )
             scene = scene_of(what, self.resolution, threads=threads)
             if scene.removed_share:
                 context.report(removed_share=scene.removed_share)
-            scene = replace(scene, colors=scene.colors._replace(section=CUTS[self.cut]))
+            material, colors = MATERIALS[self.material], scene.colors
+            cut, own = CUTS.get(self.cut, material.own), colors.domain == CUT
+            colors = colors._replace(field=material.color, domain=cut if own else material.own, section=cut)
+            colors = colors if self.material == "bone" and self.cut != "plain" else colors._replace(skin=material.own)
+            scene = replace(scene, colors=colors)
             picture = scene.picture(
                 self.image_size, camera, section=self.section, section_along=self.section_along,
-                annotate=self.annotate, background=self.background, threads=threads,
+                annotate=self.annotate, background=self.background, material=self.material, shadow=self.shadow,
+                threads=threads,
             )  # fmt: skip
         Image.fromarray(picture).save(context.output(self.path))
