@@ -9,6 +9,12 @@ from sppm_pipeline.hookspecs import Comparison, Preset, hookimpl, stages_in
 
 sppm_stages = stages_in(__name__)
 
+GROUPS = {
+    "": "paper",
+    **dict.fromkeys(("read", "fill", "slice", "write", "tile.scattered", "tune.porosity"), "everyday"),
+}
+"""Stage or family -> where ``sppm stages`` lists it; all others are behind the empty name."""
+
 
 @hookimpl
 def sppm_presets() -> dict[str, Preset]:

@@ -36,7 +36,14 @@ def configure_stages(parser: ArgumentParser) -> None:
 
 def execute_stages(args: Namespace) -> int:
     """List, or describe."""
-    from sppm_pipeline.engine.plan.describe import preset_list, preset_text, stage_data, stage_list, stage_text
+    from sppm_pipeline.engine.plan.describe import (
+        grouped_list,
+        preset_list,
+        preset_text,
+        stage_data,
+        stage_list,
+        stage_text,
+    )
     from sppm_pipeline.engine.plan.registry import Registry
 
     registry = Registry(plugins_from(args))
@@ -45,7 +52,8 @@ def execute_stages(args: Namespace) -> int:
         if args.json:
             print(json.dumps([_stage_or_error(name, registry) for name in names], indent=1))
         else:
-            print(stage_list(registry, names) + (preset_list(registry) if args.name is None else ""), end="")
+            listed = stage_list(registry, names) if args.name else grouped_list(registry) + preset_list(registry)
+            print(listed, end="")
         return 0
     if args.name in registry.presets and not args.json:
         print(preset_text(args.name, registry), end="")

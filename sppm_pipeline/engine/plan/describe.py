@@ -110,6 +110,26 @@ def value_words(value: Any) -> str:
     return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
+GROUPS = {
+    "everyday": "Everyday: a part from mesh to printer", "paper": "Paper: the method, step by step",
+    "research": "Research: properties, tests and images",
+}  # fmt: skip
+
+
+def group_of(name: str, registry: Registry) -> str:
+    """The group in which a stage is listed: that which the module of its plugin has in ``GROUPS``."""
+    groups: Mapping[str, str] = getattr(registry.owner(name).module, "GROUPS", {})
+    found = next((groups[key] for key in (name, name.split(".")[0], "") if key in groups), "research")
+    return found if found in GROUPS else "research"
+
+
+def grouped_list(registry: Registry) -> str:
+    """All stages by group and family."""
+    names = {group: [name for name in registry if group_of(name, registry) == group] for group in GROUPS}
+    parts = [f"{GROUPS[group]}\n\n{stage_list(registry, some)}" for group, some in names.items() if some]
+    return "\n".join(parts)
+
+
 def stage_list(registry: Registry, names: Sequence[str]) -> str:
     """Stages by family, one line each."""
     lines: list[str] = []

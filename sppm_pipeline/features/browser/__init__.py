@@ -6,6 +6,7 @@ from sppm_pipeline.hookspecs import Command, hookimpl, stages_in
 from sppm_pipeline.nouns.viewers import Viewer
 
 sppm_stages = stages_in(__name__)
+GROUPS = {"": "everyday"}
 
 
 @hookimpl

@@ -5,6 +5,7 @@ from __future__ import annotations
 from sppm_pipeline.hookspecs import Command, Preset, hookimpl, stages_in
 
 sppm_stages = stages_in(__name__)
+GROUPS = {"": "everyday"}
 
 
 @hookimpl

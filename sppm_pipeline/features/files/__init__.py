@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.stage import StageAlias
 
 sppm_stages = stages_in(__name__)
+GROUPS = {"": "everyday"}
 
 
 @hookimpl

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.arrays import F64, Bools
 from sppm_pipeline.services.expression import CONSTANTS, FUNCTIONS, WORDS
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE, *FUNCTIONS, *CONSTANTS, *WORDS})
 """Words that have a meaning in formulas."""
@@ -88,15 +89,24 @@ class Grader(Stage):
 OUTSIDE_WARNED = 0.01
 """Fraction of the part's box without data from which on a warning is given: below it are rims of voxels."""
 
+MAX_OUTSIDE = 0.5
+"""Fraction of the part's box without data beyond which they are taken for those of another part, or in another unit."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DataGrader(Grader):
     """Common base of maps that are data from a file: implement `data`; `law` checks that they lie where the part is."""
 
+    reported: ClassVar[tuple[str, ...]] = ("values", "lowest", "highest")
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("values"), Headline("lowest"), Headline("highest"), Headline("data_box", "in"),
+    )  # fmt: skip
+
     outside: str = option(
         "nearest",
-        help="what the map is where there are no data: the nearest value, or an error",
-        choices=("nearest", "refuse"),
+        help="what the map is where there are no data: the nearest value, unless more than half of the part's box has "
+        "none; an error; or the nearest value anywhere",
+        choices=("nearest", "refuse", "extend"),
     )
     missing: str = option(
         "refuse",
@@ -110,6 +120,8 @@ class DataGrader(Grader):
 
     def law(self, context: Context, before: Grading, part: SurfaceMesh | None) -> DataLaw:
         law = self.data(context, part)
+        lowest, highest = law.bounds
+        context.report(values=int(np.size(vars(law)["values"])), lowest=lowest, highest=highest, data_box=_box(law.box))
         if part is not None:
             low, high = np.maximum(law.box[0], part.lower), np.minimum(law.box[1], part.upper)
             if (high < low).any():
@@ -120,8 +132,15 @@ class DataGrader(Grader):
                 )
             size = np.maximum(part.upper - part.lower, 1e-300)
             share = 1 - float(np.prod((high - low) / size))
+            if share > MAX_OUTSIDE and self.outside == "nearest":
+                own = _box(np.array([part.lower, part.upper]))
+                raise InputError(
+                    f"{100 * share:.0f} % of the part's box, {own}, lie outside of the data, which lie in the box "
+                    f"{_box(law.box)}",
+                    hint="are both in the same unit, and in the same place? `outside: extend` takes the nearest value",
+                )
             if share > OUTSIDE_WARNED:
-                what = "the nearest value is taken there" if self.outside == "nearest" else "there the map has no value"
+                what = "there the map has no value" if self.outside == "refuse" else "the nearest value is taken there"
                 context.warn(f"{100 * share:.0f} % of the part's box lie outside of the data; {what}")
         return law
 

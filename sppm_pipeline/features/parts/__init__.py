@@ -3,3 +3,4 @@
 from sppm_pipeline.hookspecs import stages_in
 
 sppm_stages = stages_in(__name__)
+GROUPS = {"": "everyday"}

@@ -9,6 +9,7 @@ from sppm_pipeline.hookspecs import Command, hookimpl, stages_in
 from sppm_pipeline.nouns.report import ReportSection
 
 sppm_stages = stages_in(__name__)
+GROUPS = {"": "everyday"}
 
 
 @hookimpl

@@ -452,3 +452,14 @@ def test_signals_end_a_run_cleanly(here, number, code, sweep):
     assert not (here / "out" / "half.txt").exists()
     assert not list((here / "out").glob(".staging*"))
     assert json.loads((here / "out" / "run.json").read_text())["status"] == "interrupted"
+
+
+def test_stages_are_listed_by_what_they_are_for(capsys):
+    assert main(["stages"]) == 0
+    text = capsys.readouterr().out
+    groups = [text.index(title) for title in ("Everyday:", "Paper:", "Research:", "presets,")]
+    assert groups == sorted(groups)
+    for name, group in (("read.mesh", 0), ("write.sl1", 0), ("connect.mbdst", 1), ("homogenize.voxel", 2)):
+        assert groups[group] < text.index(f"\n  {name} ") < groups[group + 1]
+    assert main(["stages", "write"]) == 0
+    assert "Everyday" not in capsys.readouterr().out

@@ -1,5 +1,7 @@
 """The family ``grade``: one map from a formula, an image, points and nodes of it, and all that may be wrong."""
 
+from dataclasses import replace
+
 import meshio
 import numpy as np
 import pytest
@@ -123,6 +125,21 @@ def test_what_lies_outside_may_be_refused(tmp_path):
     assert found.at([[0, 0, 0], [20, 20, 20]]).tolist() == [0, 7]
     with pytest.raises(DesignError, match=r"the map 'ct' is nan at \(21, 3, 4\) mm, and at 1 of 2 points"):
         found.at([[1, 2, 3], [21, 3, 4]])
+
+
+def test_data_of_less_than_half_of_the_part_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.arange(8.0).reshape(2, 2, 2))
+    low, high = part().lower, part().upper
+    half = tuple(Length(float(v), "mm") for v in low)
+    edge = float((high - low).min())
+    stage = GradeImage(of="ct", path=tmp_path / "a.npy", voxel=Length(edge / 4, "mm"), origin=half)
+    with pytest.raises(InputError, match=r"\d\d % of the part's box, .* lie outside of the data") as raised:
+        made(stage, mesh=part())
+    assert "outside: extend" in raised.value.hint
+    found, context = made(replace(stage, outside="extend"), mesh=part())
+    assert found["ct"].at([high]).tolist() == [7]
+    assert (context.reported["values"], context.reported["lowest"], context.reported["highest"]) == (8, 0, 7)
+    assert context.reported["data_box"].endswith(" mm")
 
 
 def test_images_fit_the_box_of_the_part(tmp_path):
