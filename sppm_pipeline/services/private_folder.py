@@ -38,12 +38,21 @@ def exposure(path: Path) -> str:
         return "it is a symbolic link"
     if not stat.S_ISDIR(about.st_mode):
         return "it is no folder"
+    if reason := writers(about):
+        return reason
+    if _open_to_others(above) and not above.st_mode & stat.S_ISVTX:
+        return f"other users may replace it (mode {stat.S_IMODE(above.st_mode):o} of {str(path.parent)!r})"
+    return ""
+
+
+def writers(about: os.stat_result) -> str:
+    """Reason why another user may have written to what this is about; empty if none can."""
+    if sys.platform == "win32":
+        return ""
     if about.st_uid not in (os.geteuid(), 0):
         return f"it belongs to the user {about.st_uid}"
     if _open_to_others(about):
         return f"other users may write to it (mode {stat.S_IMODE(about.st_mode):o})"
-    if _open_to_others(above) and not above.st_mode & stat.S_ISVTX:
-        return f"other users may replace it (mode {stat.S_IMODE(above.st_mode):o} of {str(path.parent)!r})"
     return ""
 
 

@@ -87,7 +87,7 @@ class Kernel:
         ready = load(self.py_func, kinds)
         if ready is None:
             ready = self.dispatcher
-            ready._cache.keep = True
+            ready._cache.keep_from_now(ready.overloads)
         result = ready(*args)
         self._ready[key] = ready
         return result

@@ -14,6 +14,7 @@ import numpy as np
 from numba.core import config, event
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
+from numba.core.registry import cpu_target
 from numba.core.typing.templates import builtin_registry
 from numba.extending import intrinsic
 
@@ -40,6 +41,19 @@ def _load_numba_without_scipy() -> None:
 
 
 _load_numba_without_scipy()
+
+
+def _choose_target() -> None:
+    """Have Numba compile for the level of all kernels, unless another package has had it compile for this processor."""
+    if machine_code.target() == machine_code.LEVEL and config.CPU_NAME is None and config.CPU_FEATURES is None:
+        if "_toplevel_target_context" in vars(cpu_target):
+            machine_code.use_native()
+        else:
+            setattr(config, "CPU_NAME", machine_code.LEVEL)  # noqa: B010
+            setattr(config, "CPU_FEATURES", "")  # noqa: B010
+
+
+_choose_target()
 
 
 def dispatcher_of(function: Callable[..., Any], fastmath: set[str] | bool) -> Any:
@@ -90,6 +104,14 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         if self.keep and self._enabled and self._impl.check_cachable(data):
             self._keep(sig, self._impl.reduce(data))
+
+    def keep_from_now(self, compiled: dict[Any, Any]) -> None:
+        """Keep what is compiled from here on, and what was compiled before, as another kernel calls it."""
+        if not self.keep:
+            self.keep = True
+            for one in compiled.values():
+                if self._enabled and self._impl.check_cachable(one):
+                    self._keep(one.signature.args, self._impl.reduce(one))
 
     def _keep(self, sig: Any, data: Any) -> None:
         """Keep machine code that Numba has made; `data` is what Numba's own cache writes."""

@@ -40,7 +40,8 @@ _NOT_FOLLOWED = sys.stdlib_module_names | {"numpy", "numba", "llvmlite", "scipy"
 
 def kernel_cache_folder(source: str) -> Path:
     """A writable folder for the kernels of one module file, in exactly this state of it and of what it imports."""
-    place = Path(Path(source).stem, _state(source))
+    # of environments that share it, each has its own: Numba compares times of files
+    place = Path(Path(source).stem, hashlib.sha256(f"{sys.version}{sys.prefix}{_state(source)}".encode()).hexdigest()[:16])
     folder = kernel_cache_root() / place
     if folder.is_dir():
         return folder
@@ -117,8 +118,8 @@ def state_of(source: str) -> str:
 
 @functools.cache
 def _state(source: str) -> str:
-    """Digest of the interpreter, the module and all modules that it imports, directly or not."""
-    h = hashlib.sha256(f"{sys.version_info[:3]}{sys.prefix}".encode())
+    """Digest of a module and all modules that it imports, directly or not."""
+    h = hashlib.sha256()
     first = os.path.abspath(source)
     place = _package_of(os.path.dirname(first))
     reached, waiting = {first: _read(first, place)}, [first]
@@ -266,12 +267,17 @@ def kernel_cache_lasts() -> bool:
     return kernel_cache_root() in _bases()
 
 
-def is_kept(place: str, specializations: int) -> bool:
-    """True if a kernel, ``package.module:name``, was compiled for so many kinds of arguments; does not load it."""
+def source_of(place: str) -> tuple[str, str]:
+    """The file of a kernel of this program, ``package.module:name``, and its name there."""
     module, _, name = place.partition(":")
-    source = str(Path(__file__).parents[3].joinpath(*module.split("."))) + ".py"
+    return str(Path(__file__).parents[3].joinpath(*module.split("."))) + ".py", name
+
+
+def is_kept(place: str, specializations: int) -> bool:
+    """True if Numba has compiled a kernel for so many kinds of arguments; does not load it."""
+    source, name = source_of(place)
     kept = _kept_files(kernel_cache_folder(source))
-    stem = f"{module.rpartition('.')[2]}.{name}-"
+    stem = f"{Path(source).stem}.{name}-"
     return sum(file.startswith(stem) and file.endswith(".nbc") for file in kept) >= specializations
 
 

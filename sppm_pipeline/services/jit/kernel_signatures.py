@@ -61,6 +61,6 @@ def compile_kernel(place: str, signatures: Sequence[Sequence[KernelType]]) -> No
     """Compile the kernel ``package.module:name`` for the argument types of each signature, or load it from the disk."""
     module, _, name = place.partition(":")
     kernel = getattr(importlib.import_module(module), name).dispatcher
-    kernel._cache.keep = True
+    kernel._cache.keep_from_now(kernel.overloads)
     for signature in signatures:
         kernel.compile(tuple(map(read, signature)))

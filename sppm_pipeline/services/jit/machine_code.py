@@ -6,6 +6,11 @@ to start it: the name of its entry, the symbols that it looks for, and the envir
 and two of Numba's extension modules, which are loaded by their files, lend it what compiled code calls: conversions of
 arguments, memory, exceptions. The machine code is the same, so results are, to the byte.
 
+The distribution `sppm-kernels` brings such files (`.ci/kernels.py` makes it). They are made for `LEVEL`, which compilers
+of this program take as well unless `TARGET` says ``native``, so that the same kernels run on every processor. A file is
+found by its name, a digest of the sources that the kernel reaches and of all that the code depends on (`_key`): where
+one does not fit, an edited module for instance, the kernel is compiled and kept in the user's folder.
+
 Whatever does not fit is left to Numba: other kinds of arguments, a symbol that is not there, a damaged file, a setting
 of Numba's in the environment, a version of Numba that this has not been tried with (`SUPPORTED_NUMBA`, as symbols of
 compiled code are no promise of Numba's), another system than Linux on x86-64 (object files are read here to know what
@@ -31,21 +36,39 @@ import sys
 import threading
 import zlib
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.services.jit.kernel_cache import kernel_cache_folder
+from sppm_pipeline.services.jit.kernel_cache import kernel_cache_folder, state_of
+from sppm_pipeline.services.private_folder import exposure, writers
 
-FORMAT = 4
+FORMAT = 5
 """Of the files; part of their names."""
+
+LEVEL = "x86-64-v3"
+"""Microarchitecture level of the x86-64 psABI that kernels are compiled for where the processor has it: AVX2 and fused
+multiply-add, processors from about 2013 on."""
+
+_OF_LEVEL = frozenset(b"avx avx2 bmi1 bmi2 f16c fma abm movbe xsave".split())
+"""Its instruction sets beyond the level before, as Linux calls them."""
+
+TARGET = "SPPM_TARGET"
+"""Environment variable; ``native`` has kernels compiled for this very processor, as ``--target native`` does."""
+
+SHIPPED = "sppm_kernels"
+"""Package of the distribution with machine code for `LEVEL`."""
 
 ENV_VAR = "SPPM_KEPT_KERNELS"
 """Environment variable; ``off`` has Numba start all kernels."""
 
 SUPPORTED_NUMBA = ("0.68",)
 """Versions of Numba, without their last number, whose code was started without it, and all tests passed."""
+
+_CHOSEN = frozenset(("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"))
+"""Settings of Numba by which its user chooses the processor."""
 
 _MAGIC = b"sppm machine code\n"
 
@@ -148,31 +171,72 @@ def _version() -> str:
     return ""
 
 
-def _place_of(function: FunctionType, kinds: Sequence[Any]) -> str | None:
-    """The file of a kernel for arguments of these kinds, as `signature_as_json`; None if it can't be kept.
+@functools.cache
+def target() -> str:
+    """What kernels are compiled for: `LEVEL`, or ``native``."""
+    if os.environ.get(TARGET, "").lower() == "native" or not _CHOSEN.isdisjoint(os.environ):
+        return "native"
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", "rb") as file:
+        found = re.search(rb"^flags\s*:(.*)$", file.read(1 << 14), re.MULTILINE)
+        if found and _OF_LEVEL.issubset(found[1].split()):
+            return LEVEL
+    return "native"
 
-    A function with a closure is made again in every process, and what it holds may differ.
-    """
-    code, name = function.__code__, function.__qualname__
-    if function.__closure__ is not None or not name.replace(".", "").isidentifier():
-        return None
-    about = [FORMAT, code.co_firstlineno, code.co_code.hex(), list(kinds), *_target()]
-    digest = hashlib.sha256(json.dumps(about).encode()).hexdigest()[:20]
-    return os.path.join(kernel_cache_folder(code.co_filename), f"{name}-{digest}.code")
+
+def use_native() -> None:
+    """From here on, here and in child processes, take and make machine code for this very processor."""
+    os.environ[TARGET] = "native"
+    for cached in (target, _made_by, shipped):
+        cached.cache_clear()
 
 
 @functools.cache
-def _target() -> tuple[str, ...]:
-    """Processor and versions that machine code is made for."""
+def _made_by() -> tuple[str, ...]:
+    """What makes machine code, and for which processor; parts of versions that change no code are left out."""
+    made = importlib.machinery.EXTENSION_SUFFIXES[0], _version().rpartition(".")[0], np.__version__.partition(".")[0]
+    if target() == LEVEL:
+        return *made, LEVEL
     import llvmlite.binding as llvm
 
-    numba = _numba()
-    stat = os.stat(os.path.join(numba, "_version.py"))
-    made_by = f"{numba} {stat.st_size} {stat.st_mtime_ns}", str(llvm.llvm_version_info), llvm.__file__
-    return (
-        *made_by, np.__version__, llvm.get_process_triple(), llvm.get_host_cpu_name(),
-        llvm.get_host_cpu_features().flatten(),
-    )  # fmt: skip
+    return *made, llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+
+
+def _file_of(source: str, name: str, kinds: Sequence[Any]) -> str:
+    """Name of the file of a kernel of a module for arguments of these kinds, as `signature_as_json`."""
+    about = json.dumps([FORMAT, state_of(source), name, list(kinds), *_made_by()])
+    return f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:20]}.code"
+
+
+def _place_of(function: FunctionType, kinds: Sequence[Any]) -> tuple[str, str] | None:
+    """Source and file name of a kernel; None if it can't be kept.
+
+    A function with a closure is made again in every process, and what it holds may differ.
+    """
+    source, name = function.__code__.co_filename, function.__qualname__
+    if function.__closure__ is not None or not name.replace(".", "").isidentifier():
+        return None
+    return source, _file_of(source, name, kinds)
+
+
+@functools.cache
+def shipped() -> str:
+    """The folder of machine code that was installed; empty if there is none, or others may write to it."""
+    found = importlib.util.find_spec(SHIPPED) if usable() and target() == LEVEL else None
+    for folder in (found and found.submodule_search_locations) or ():
+        if reason := exposure(Path(folder)):
+            refused[folder] = reason
+        else:
+            return folder
+    return ""
+
+
+refused: dict[str, str] = {}
+"""Folders and files of machine code that are not used, and why."""
+
+
+def is_shipped(source: str, name: str, kinds: Sequence[Any]) -> bool:
+    """True if a kernel of a module file was installed with its machine code; does not read it."""
+    return bool(shipped()) and os.path.exists(os.path.join(shipped(), _file_of(source, name, kinds)))
 
 
 @functools.cache
@@ -186,15 +250,16 @@ def _numba() -> str:
 
 def keep(function: FunctionType, kinds: Sequence[Any], code: Code) -> None:
     """Keep machine code, if all symbols that it needs can be listed; the file appears whole or not at all."""
-    file, symbols = _place_of(function, kinds), symbols_of(code.object)
-    if file is None or symbols is None:
+    place, symbols = _place_of(function, kinds), symbols_of(code.object)
+    if place is None or symbols is None:
         return
     # most functions are inlined, and no code asks for the environments that they would have had
     needed = {n: dtypes for n, dtypes in code.environments.items() if n == code.environment or n in symbols[1]}
     if None in needed.values():
         return
     about = {"entry": code.entry, "environment": code.environment, "environments": needed, "symbols": symbols[0]}
-    head = json.dumps(about, separators=(",", ":")).encode()
+    head = json.dumps(about | {"of": _of(function), "by": _version()}, separators=(",", ":")).encode()
+    file = os.path.join(kernel_cache_folder(place[0]), place[1])
     new = f"{file}.{os.getpid()}-{threading.get_ident()}"
     whole = struct.pack("<I", len(head)) + head + code.object
     try:
@@ -206,24 +271,52 @@ def keep(function: FunctionType, kinds: Sequence[Any], code: Code) -> None:
             os.unlink(new)
 
 
+def _of(function: FunctionType) -> list[Any]:
+    """Which of several functions of one name it is."""
+    code = function.__code__
+    return [function.__module__, code.co_firstlineno, hashlib.sha256(code.co_code).hexdigest()[:20]]
+
+
 def load(function: FunctionType, kinds: Sequence[Any]) -> Callable[..., Any] | None:
     """Start kept machine code; None if there is none, or it can't be started here."""
-    try:
-        place = _place_of(function, kinds)
-        if place is None:
-            return None
-        with open(place, "rb") as opened:
-            data = opened.read()
-        check, length = struct.unpack_from("<II", data, len(_MAGIC))
-        if not data.startswith(_MAGIC) or zlib.crc32(memoryview(data)[len(_MAGIC) + 4 :]) != check:
-            return None
-        at = len(_MAGIC) + 8
-        about = json.loads(data[at : at + length])
-        code = data[at + length :]
-        with _LOADING:
-            return _linker().start(about, code, function)
-    except (OSError, struct.error, ValueError, KeyError, TypeError, AttributeError, ImportError, RuntimeError):
+    place = _place_of(function, kinds)
+    if place is None:
         return None
+    if shipped() and (started := _start(os.path.join(shipped(), place[1]), function, "")):
+        return started
+    return _start(os.path.join(kernel_cache_folder(place[0]), place[1]), function, _version())
+
+
+def _start(file: str, function: FunctionType, version: str) -> Callable[..., Any] | None:
+    """Start what a file holds, if it was made by this version of Numba; by any that fits if it is empty."""
+    try:
+        with open(file, "rb") as opened:
+            if reason := writers(os.fstat(opened.fileno())):
+                refused[file] = reason
+                return None
+            data = opened.read()
+    except OSError:
+        return None
+    try:
+        about, code = content(data)
+        if about["of"] != _of(function) or (version and about["by"] != version):
+            return None
+        with _LOADING:
+            if started := _linker().start(about, code, function):
+                return started
+        refused[file] = "symbols that it needs are missing"
+    except (OSError, struct.error, ValueError, KeyError, TypeError, AttributeError, ImportError, RuntimeError) as error:
+        refused[file] = f"it is damaged: {error}"
+    return None
+
+
+def content(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """What is said about machine code in a file, and the code; `ValueError` if it has changed since it was written."""
+    check, length = struct.unpack_from("<II", data, len(_MAGIC))
+    if not data.startswith(_MAGIC) or zlib.crc32(memoryview(data)[len(_MAGIC) + 4 :]) != check:
+        raise ValueError("its checksum is another")
+    at = len(_MAGIC) + 8
+    return json.loads(data[at : at + length]), data[at + length :]
 
 
 _LOADING = threading.RLock()
