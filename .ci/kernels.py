@@ -74,11 +74,12 @@ def compiled(names: Iterable[str], kernels: str) -> dict[str, bytes]:
             stdout=subprocess.DEVNULL,
             check=True,
         )
-    packages = {"sppm_pipeline", *(path.name for path in ROOT.glob("plugins/*/sppm_*"))}
-    found = {path.name: path.read_bytes() for path in Path(kernels).rglob("*.code")}
-    return {
-        name: data for name, data in found.items() if machine_code.content(data)[0]["of"][0].split(".")[0] in packages
-    }
+    packages, found = {"sppm_pipeline", *(path.name for path in ROOT.glob("plugins/*/sppm_*"))}, {}
+    for file in Path(kernels).rglob("*.code"):
+        about, _ = machine_code.read(str(file)) or ({"of": ["damaged"]}, b"")
+        if about["of"][0].partition(".")[0] in packages:
+            found[file.name] = file.read_bytes()
+    return found
 
 
 def packed(folder: Path, code: Mapping[str, bytes], version: str) -> Path:
@@ -91,10 +92,11 @@ def packed(folder: Path, code: Mapping[str, bytes], version: str) -> Path:
         "Summary: Machine code of the kernels of sppm-pipeline, with which a first run compiles nothing\n"
         f"License-Expression: BSD-3-Clause\nLicense-File: LICENSE\nRequires-Python: =={python}.*\n"
     )
+    about = f"Wheel-Version: 1.0\nGenerator: sppm\nRoot-Is-Purelib: false\nTag: {tag}\n"
     files = {f"{machine_code.SHIPPED}/{name}": data for name, data in code.items()} | {
-        f"{machine_code.SHIPPED}/__init__.py": b'"""Machine code; `sppm_pipeline.services.jit.machine_code` reads it."""\n',
+        f"{machine_code.SHIPPED}/__init__.py": b'"""Read by `sppm_pipeline.services.jit.machine_code`."""\n',
         f"{stem}.dist-info/METADATA": metadata.encode(),
-        f"{stem}.dist-info/WHEEL": f"Wheel-Version: 1.0\nGenerator: sppm\nRoot-Is-Purelib: false\nTag: {tag}\n".encode(),
+        f"{stem}.dist-info/WHEEL": about.encode(),
         f"{stem}.dist-info/licenses/LICENSE": (ROOT / "LICENSE").read_bytes(),
     }
     record = "".join(
@@ -106,15 +108,17 @@ def packed(folder: Path, code: Mapping[str, bytes], version: str) -> Path:
     wheel = folder / f"{stem}-{tag}.whl"
     with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name, data in sorted(files.items(), key=lambda one: (".dist-info/" in one[0], one[0])):
-            about = zipfile.ZipInfo(name)
-            about.external_attr, about.compress_type = 0o100644 << 16, zipfile.ZIP_DEFLATED
-            archive.writestr(about, data)
+            entry = zipfile.ZipInfo(name)
+            entry.external_attr, entry.compress_type = 0o100644 << 16, zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data)
     return wheel
 
 
 def main() -> None:
     if machine_code.target() != machine_code.LEVEL or machine_code.reason_unavailable():
-        raise SystemExit(f"not here: {machine_code.reason_unavailable() or 'the processor is older than ' + machine_code.LEVEL}")
+        raise SystemExit(
+            f"not here: {machine_code.reason_unavailable() or 'the processor is older than ' + machine_code.LEVEL}"
+        )
     if sys.argv[1:2] == ["--run"]:
         run(sys.argv[2])
         return

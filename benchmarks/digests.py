@@ -314,11 +314,13 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def surroundings() -> dict[str, str]:
-    """The processor that kernels are compiled for, and libraries: what outputs with an asterisk depend on."""
+    """The processor, what kernels are compiled for, and libraries: what outputs with an asterisk depend on."""
     import llvmlite.binding as llvm
 
-    processor = os.environ.get("NUMBA_CPU_NAME") or llvm.get_host_cpu_name()
-    return {"processor": processor} | {name: version(name) for name in LIBRARIES}
+    from sppm_pipeline.services.jit.machine_code import target
+
+    kernels = os.environ.get("NUMBA_CPU_NAME") or target()
+    return {"processor": llvm.get_host_cpu_name(), "kernels": kernels} | {name: version(name) for name in LIBRARIES}
 
 
 def changes(name: str, folder: Path) -> dict[str, str]:

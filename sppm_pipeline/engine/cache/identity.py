@@ -18,6 +18,7 @@ import numpy as np
 import sppm_pipeline
 from sppm_pipeline.engine.plan.installed import distributions, metadata_of, normal, version_of
 from sppm_pipeline.engine.plan.plugins import Plugin
+from sppm_pipeline.services.jit.machine_code import target
 from sppm_pipeline.stage import Stage
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "pillow")
@@ -28,7 +29,14 @@ _PACKAGE = "sppm_pipeline"
 _WITHOUT_RESULTS = ("engine/cli", "features/browser/report", "features/browser/studio", "testing")
 """Folders that no result comes from."""
 
-_SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE")
+_SETTINGS = (
+    "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES",
+    "NUMBA_DISABLE_JIT",
+    "NUMBA_OPT",
+    "NPY_DISABLE_CPU_FEATURES",
+    "OPENBLAS_CORETYPE",
+)
 """Environment variables by which the same code computes other last digits."""
 
 
@@ -102,12 +110,12 @@ def _file_digest(path: Path) -> str:
 def environment(libraries: tuple[str, ...] = (), plugins: tuple[str, ...] = ()) -> dict[str, str]:
     """Versions of Python and the libraries in use, and the kind of processor.
 
-    Threads do not count, as results do not depend on them. The processor does: compiled kernels and BLAS add in an
-    order that depends on how wide its registers are. `libraries` count besides those that every stage uses, and so do
-    requirements of the distributions `plugins`.
+    Threads do not count, as results do not depend on them. The processor does, and what kernels are compiled for: they,
+    numpy and BLAS add in an order that depends on how wide its registers are. `libraries` count besides those that
+    every stage uses, and so do requirements of the distributions `plugins`.
     """
     names = {*_LIBRARIES, *libraries}.union(*map(requirements_of, plugins))
-    found = {"python": platform.python_version(), "processor": _processor()}
+    found = {"python": platform.python_version(), "processor": _processor(), "kernels": target()}
     found |= {name: installed_version(name) or "not installed" for name in sorted(names)}
     return found | {name: os.environ[name] for name in _SETTINGS if name in os.environ}
 
@@ -130,19 +138,20 @@ def _processor() -> str:
 def arithmetic() -> dict[str, str | None]:
     """Dependencies of the last digits of numbers besides versions, for the run record.
 
-    These are ``processor``, its name as the system says it, and ``instructions``, a digest of what it can do, which is
-    what compiled kernels are made for; ``numba_target``, None in a process that compiled nothing; ``blas``, the linear
-    algebra below numpy, which chooses its code by the processor; and environment variables that change them.
+    These are ``processor``, its name as the system says it, and ``instructions``, a digest of what it can do;
+    ``numba_target``, what kernels are compiled for, None in a process that compiled nothing for its very processor;
+    ``blas``, the linear algebra below numpy, which chooses its code by the processor as numpy does; and environment
+    variables that change them.
     """
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
-    target = None
-    if "llvmlite.binding" in sys.modules:
+    compiled_for = None if target() == "native" else target()
+    if compiled_for is None and "llvmlite.binding" in sys.modules:
         # not imported for this: a process that compiled nothing has not loaded LLVM
-        target = os.environ.get("NUMBA_CPU_NAME") or sys.modules["llvmlite.binding"].get_host_cpu_name()
+        compiled_for = os.environ.get("NUMBA_CPU_NAME") or sys.modules["llvmlite.binding"].get_host_cpu_name()
     return {
         "processor": _processor_name(),
         "instructions": _processor(),
-        "numba_target": target,
+        "numba_target": compiled_for,
         "blas": f"{blas.get('name', 'unknown')} {blas.get('version', '')}".strip(),
     } | {name: os.environ[name] for name in _SETTINGS if name in os.environ}
 

@@ -247,7 +247,7 @@ def _kernel_cache() -> Iterator[Finding]:
     """Folder of compiled kernels and its state."""
     from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.services.jit.kernel_cache import kernel_cache_root, passed_over
-    from sppm_pipeline.services.jit.machine_code import reason_unavailable
+    from sppm_pipeline.services.jit.machine_code import reason_unavailable, target
 
     folder = kernel_cache_root()
     writable, found = _writable(folder)
@@ -261,6 +261,21 @@ def _kernel_cache() -> Iterator[Finding]:
     for place, reason in passed_over().items():
         state += f"; {place} is not used: {reason}"
     yield writable, "kernel cache", f"{folder}: {found}, {state}"
+    yield True, "kernels for", target()
+    yield from _shipped_kernels()
+
+
+def _shipped_kernels() -> Iterator[Finding]:
+    """Machine code that was installed, each file looked at."""
+    from sppm_pipeline.services.jit import machine_code
+
+    if folder := machine_code.shipped():
+        files = list(Path(folder).glob("*.code"))
+        for file in files:
+            machine_code.read(str(file))
+        yield True, "sppm-kernels", f"{folder}: {len(files)} kernels"
+    for place, reason in machine_code.refused.items():
+        yield False, "sppm-kernels", f"{place} is not used: {reason}"
 
 
 def _writable(folder: Path) -> tuple[bool, str]:

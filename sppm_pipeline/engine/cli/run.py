@@ -67,6 +67,11 @@ def configure_run(parser: ArgumentParser) -> None:
         default=2,
         help="runs again of work whose worker died; 2 if omitted",
     )
+    parser.add_argument(
+        "--target",
+        choices=("native",),
+        help="compile kernels for this very processor: faster on some, with other last digits; x86-64-v3 if omitted",
+    )
     parser.add_argument("--same-processor", action="store_true", help="refuse workers on another kind of processor")
     failing = parser.add_mutually_exclusive_group()
     failing.add_argument(
@@ -110,6 +115,10 @@ def _integer(low: int, high: int) -> Callable[[str], int]:
 
 def execute_run(args: Namespace) -> int:
     """Run."""
+    if args.target:
+        from sppm_pipeline.services.jit.machine_code import use_native
+
+        use_native()
     if args.time_limit is not None:
         from sppm_pipeline.engine.process.activity import limit_run
 
@@ -226,11 +235,17 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     """The monitor that shows the run, closed by `stack`."""
     from sppm_pipeline.engine.cli.progress import ProgressLines
     from sppm_pipeline.services.jit.kernel_cache import on_first_compilation
+    from sppm_pipeline.services.jit.machine_code import refused
+
+    def told() -> None:
+        for place, why in refused.items():
+            monitor.note(f"{place} is not used, its kernels are compiled here: {why}")
 
     log = stack.enter_context(args.log.open("a", encoding="utf-8")) if args.log else None
     stream = sys.stderr or io.StringIO()  # there is none if it was closed
     monitor = ProgressLines(stream, verbose=args.verbose, quiet=args.quiet, log=log)
     stack.callback(monitor.close)
+    stack.callback(told)
     on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     return monitor
 

@@ -13,7 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.services.jit.kernel_cache import is_kept, kernel_cache_lasts, look_again, on_first_compilation, source_of
+from sppm_pipeline.services.jit.kernel_cache import (
+    is_kept,
+    kernel_cache_lasts,
+    look_again,
+    on_first_compilation,
+    source_of,
+)
 
 LIST = Path(__file__).parent / "kernels.json"
 

@@ -13,8 +13,8 @@ import numba.cpython.hashing
 import numpy as np
 from numba.core import config, event
 from numba.core.caching import FunctionCache
-from numba.core.runtime.nrt import rtsys
 from numba.core.registry import cpu_target
+from numba.core.runtime.nrt import rtsys
 from numba.core.typing.templates import builtin_registry
 from numba.extending import intrinsic
 
@@ -45,7 +45,8 @@ _load_numba_without_scipy()
 
 def _choose_target() -> None:
     """Have Numba compile for the level of all kernels, unless another package has had it compile for this processor."""
-    if machine_code.target() == machine_code.LEVEL and config.CPU_NAME is None and config.CPU_FEATURES is None:
+    given = getattr(config, "CPU_NAME"), getattr(config, "CPU_FEATURES")  # noqa: B009 - declared at run time
+    if machine_code.target() == machine_code.LEVEL and given == (None, None):
         if "_toplevel_target_context" in vars(cpu_target):
             machine_code.use_native()
         else:

@@ -41,7 +41,8 @@ _NOT_FOLLOWED = sys.stdlib_module_names | {"numpy", "numba", "llvmlite", "scipy"
 def kernel_cache_folder(source: str) -> Path:
     """A writable folder for the kernels of one module file, in exactly this state of it and of what it imports."""
     # of environments that share it, each has its own: Numba compares times of files
-    place = Path(Path(source).stem, hashlib.sha256(f"{sys.version}{sys.prefix}{_state(source)}".encode()).hexdigest()[:16])
+    state = hashlib.sha256(f"{sys.version}{sys.prefix}{_state(source)}".encode()).hexdigest()[:16]
+    place = Path(Path(source).stem, state)
     folder = kernel_cache_root() / place
     if folder.is_dir():
         return folder
@@ -81,6 +82,15 @@ def unusable(base: Path) -> str:
     if not os.access(base, os.W_OK | os.X_OK):
         return "it can't be written"
     return exposure(base)
+
+
+def installed_folder(package: str) -> tuple[str, str]:
+    """The folder of an installed package, without its import, and the reason why others may have written to it."""
+    from importlib.util import find_spec
+
+    found = find_spec(package)
+    folder = next(iter((found and found.submodule_search_locations) or ()), "")
+    return folder, exposure(Path(folder)) if folder else ""
 
 
 def passed_over() -> dict[str, str]:

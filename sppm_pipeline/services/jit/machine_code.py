@@ -6,10 +6,10 @@ to start it: the name of its entry, the symbols that it looks for, and the envir
 and two of Numba's extension modules, which are loaded by their files, lend it what compiled code calls: conversions of
 arguments, memory, exceptions. The machine code is the same, so results are, to the byte.
 
-The distribution `sppm-kernels` brings such files (`.ci/kernels.py` makes it). They are made for `LEVEL`, which compilers
-of this program take as well unless `TARGET` says ``native``, so that the same kernels run on every processor. A file is
-found by its name, a digest of the sources that the kernel reaches and of all that the code depends on (`_key`): where
-one does not fit, an edited module for instance, the kernel is compiled and kept in the user's folder.
+The distribution `sppm-kernels` brings such files, made by `.ci/kernels.py` for `LEVEL`. Numba compiles for that as well
+unless `TARGET` says ``native``, so that the same code runs on every processor that has it. A file is found by its name,
+a digest of the sources that the kernel reaches and of all else that the code depends on (`_file_of`): where none fits,
+for instance after an edit, the kernel is compiled and kept in the user's folder.
 
 Whatever does not fit is left to Numba: other kinds of arguments, a symbol that is not there, a damaged file, a setting
 of Numba's in the environment, a version of Numba that this has not been tried with (`SUPPORTED_NUMBA`, as symbols of
@@ -36,14 +36,13 @@ import sys
 import threading
 import zlib
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.services.jit.kernel_cache import kernel_cache_folder, state_of
-from sppm_pipeline.services.private_folder import exposure, writers
+from sppm_pipeline.services.jit.kernel_cache import installed_folder, kernel_cache_folder, state_of
+from sppm_pipeline.services.private_folder import writers
 
 FORMAT = 5
 """Of the files; part of their names."""
@@ -221,13 +220,10 @@ def _place_of(function: FunctionType, kinds: Sequence[Any]) -> tuple[str, str] |
 @functools.cache
 def shipped() -> str:
     """The folder of machine code that was installed; empty if there is none, or others may write to it."""
-    found = importlib.util.find_spec(SHIPPED) if usable() and target() == LEVEL else None
-    for folder in (found and found.submodule_search_locations) or ():
-        if reason := exposure(Path(folder)):
-            refused[folder] = reason
-        else:
-            return folder
-    return ""
+    folder, reason = installed_folder(SHIPPED) if usable() and target() == LEVEL else ("", "")
+    if reason:
+        refused[folder] = reason
+    return "" if reason else folder
 
 
 refused: dict[str, str] = {}
@@ -289,6 +285,23 @@ def load(function: FunctionType, kinds: Sequence[Any]) -> Callable[..., Any] | N
 
 def _start(file: str, function: FunctionType, version: str) -> Callable[..., Any] | None:
     """Start what a file holds, if it was made by this version of Numba; by any that fits if it is empty."""
+    if (found := read(file)) is None:
+        return None
+    about, code = found
+    try:
+        if about["of"] != _of(function) or (version and about["by"] != version):
+            return None
+        with _LOADING:
+            if started := _linker().start(about, code, function):
+                return started
+        refused[file] = "a symbol that it needs is missing"
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ImportError, RuntimeError) as error:
+        refused[file] = f"it can't be started: {error}"
+    return None
+
+
+def read(file: str) -> tuple[dict[str, Any], bytes] | None:
+    """What is said about machine code in a file, and the code; None if there is none, or it is refused."""
     try:
         with open(file, "rb") as opened:
             if reason := writers(os.fstat(opened.fileno())):
@@ -297,26 +310,13 @@ def _start(file: str, function: FunctionType, version: str) -> Callable[..., Any
             data = opened.read()
     except OSError:
         return None
-    try:
-        about, code = content(data)
-        if about["of"] != _of(function) or (version and about["by"] != version):
-            return None
-        with _LOADING:
-            if started := _linker().start(about, code, function):
-                return started
-        refused[file] = "symbols that it needs are missing"
-    except (OSError, struct.error, ValueError, KeyError, TypeError, AttributeError, ImportError, RuntimeError) as error:
-        refused[file] = f"it is damaged: {error}"
+    with contextlib.suppress(struct.error, ValueError):
+        check, length = struct.unpack_from("<II", data, len(_MAGIC))
+        at = len(_MAGIC) + 8
+        if data.startswith(_MAGIC) and zlib.crc32(memoryview(data)[len(_MAGIC) + 4 :]) == check:
+            return json.loads(data[at : at + length]), data[at + length :]
+    refused[file] = "it is damaged"
     return None
-
-
-def content(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """What is said about machine code in a file, and the code; `ValueError` if it has changed since it was written."""
-    check, length = struct.unpack_from("<II", data, len(_MAGIC))
-    if not data.startswith(_MAGIC) or zlib.crc32(memoryview(data)[len(_MAGIC) + 4 :]) != check:
-        raise ValueError("its checksum is another")
-    at = len(_MAGIC) + 8
-    return json.loads(data[at : at + length]), data[at + length :]
 
 
 _LOADING = threading.RLock()

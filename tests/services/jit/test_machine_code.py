@@ -190,7 +190,9 @@ def test_nothing_half_written_stays_on_a_full_disk(tmp_path, monkeypatch):
     def full(*args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(machine_code, "_place_of", lambda function, kinds: str(tmp_path / "kernel.code"))
+    monkeypatch.setattr(machine_code, "_place_of", lambda function, kinds: ("", "kernel.code"))
+    monkeypatch.setattr(machine_code, "_of", lambda function: [])
+    monkeypatch.setattr(machine_code, "kernel_cache_folder", lambda source: str(tmp_path))
     monkeypatch.setattr(machine_code, "symbols_of", lambda data: ([], set()))
     monkeypatch.setattr(machine_code.os, "replace", full)
     machine_code.keep(full, [], machine_code.Code("entry", "environment", {"environment": []}, b"code"))
@@ -300,4 +302,4 @@ def test_functions_that_are_made_anew_in_each_process_are_not_kept():
     assert machine_code._place_of(made(1), ["int64"]) is None
     assert machine_code._place_of(plain, ["int64"]) is None  # of a function, which may be another one each time
     plain.__qualname__ = "plain"
-    assert machine_code._place_of(plain, ["int64"]).endswith(".code")
+    assert machine_code._place_of(plain, ["int64"])[1].endswith(".code")
