@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 import os
 import subprocess
 import sys
@@ -44,6 +45,7 @@ def commands(name: str, scratch: Path) -> Iterator[list[str]]:
 def run(name: str) -> None:
     """Run a configuration in this process; an exception of a kernel says where it was raised, but in no folder."""
     from numba.core.bytecode import FunctionIdentity
+    from numba.np.ufunc import array_exprs
 
     from sppm_pipeline.engine.cli.main import main as sppm
 
@@ -57,6 +59,8 @@ def run(name: str) -> None:
         return made
 
     FunctionIdentity.from_function = classmethod(identified)
+    numbers = itertools.count()
+    array_exprs.hash = lambda expression: next(numbers)  # names would hold addresses
     with tempfile.TemporaryDirectory() as scratch:
         for words in commands(name, Path(scratch)):
             if code := sppm(words):
@@ -115,10 +119,8 @@ def packed(folder: Path, code: Mapping[str, bytes], version: str) -> Path:
 
 
 def main() -> None:
-    if machine_code.target() != machine_code.LEVEL or machine_code.reason_unavailable():
-        raise SystemExit(
-            f"not here: {machine_code.reason_unavailable() or 'the processor is older than ' + machine_code.LEVEL}"
-        )
+    if machine_code.target() != machine_code.LEVEL or not machine_code.usable():
+        raise SystemExit(f"not here: {machine_code.reason_unavailable() or 'no ' + machine_code.LEVEL}")
     if sys.argv[1:2] == ["--run"]:
         run(sys.argv[2])
         return

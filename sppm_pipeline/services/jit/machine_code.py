@@ -69,6 +69,8 @@ SUPPORTED_NUMBA = ("0.68",)
 _CHOSEN = frozenset(("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"))
 """Settings of Numba by which its user chooses the processor."""
 
+_CPUINFO = "/proc/cpuinfo"
+
 _MAGIC = b"sppm machine code\n"
 
 _SETTINGS = ("NUMBA_CACHE_DIR",)
@@ -175,7 +177,7 @@ def target() -> str:
     """What kernels are compiled for: `LEVEL`, or ``native``."""
     if os.environ.get(TARGET, "").lower() == "native" or not _CHOSEN.isdisjoint(os.environ):
         return "native"
-    with contextlib.suppress(OSError), open("/proc/cpuinfo", "rb") as file:
+    with contextlib.suppress(OSError), open(_CPUINFO, "rb") as file:
         found = re.search(rb"^flags\s*:(.*)$", file.read(1 << 14), re.MULTILINE)
         if found and _OF_LEVEL.issubset(found[1].split()):
             return LEVEL

@@ -1,20 +1,29 @@
 """Kept machine code: started without Numba, the same to the byte, and left to Numba where anything does not fit."""
 
+import contextlib
+import importlib.util
 import json
 import os
+import shutil
 import struct
 import subprocess
 import sys
+import zipfile
 import zlib
+from argparse import Namespace
+from pathlib import Path
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
 
+from sppm_pipeline.engine.cli import installation
+from sppm_pipeline.engine.cli.run import _monitor
 from sppm_pipeline.services.jit import kernel_signatures, machine_code
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.jit.machine_code import argument_kind, signature_as_json, symbols_of
+from sppm_pipeline.services.private_folder import writers
 
 MODULE = """
 from typing import NamedTuple
@@ -127,11 +136,11 @@ def program(tmp_path):
     (tmp_path / "kept.py").write_text(MODULE)
     (tmp_path / "calls.py").write_text(CALLS)
 
-    def run(**environment):
+    def run(script="calls.py", **environment):
         own = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
         own |= {"NUMBA_CACHE_DIR": str(tmp_path / "kernels"), **environment}
         done = subprocess.run(
-            [sys.executable, "calls.py"], cwd=tmp_path, env=own, capture_output=True, text=True, timeout=600
+            [sys.executable, script], cwd=tmp_path, env=own, capture_output=True, text=True, timeout=600
         )
         assert done.returncode == 0, done.stderr
         with_numba, results = done.stdout.split()
@@ -184,6 +193,155 @@ def write_anew(file, change):
     head = json.dumps(about).encode()
     whole = struct.pack("<I", len(head)) + head + data[at + 8 + length :]
     file.write_bytes(data[:at] + struct.pack("<I", zlib.crc32(whole)) + whole)
+
+
+FEW_CALLS = """
+import sys
+import numpy as np
+import kept
+
+box = np.zeros(2)
+kept.nothing(box, 7)
+results = f"{box[0]},{kept.strict(4)},{kept.worded(3)}"
+print("numba" in sys.modules, results)
+"""
+
+PRETEND = """
+import runpy
+import llvmlite.binding as llvm
+
+real = llvm.get_host_cpu_features()
+real.update({"avx512f": True, "avx512vl": True, "avx512bw": True, "avx512dq": True, "prefer-256-bit": True})
+llvm.get_host_cpu_name, llvm.get_host_cpu_features = lambda: "skylake-avx512", lambda: real
+runpy.run_path("calls.py", run_name="__main__")
+"""
+
+OTHERS_FIRST = """
+import numba
+import numpy as np
+import kept
+from sppm_pipeline.services.jit import machine_code
+
+numba.njit(lambda number: number + 1)(2)
+kept.nothing(np.zeros(2), 7)
+print("numba" in __import__("sys").modules, machine_code.target() + "," + str(numba.config.CPU_NAME))
+"""
+
+
+@pytest.fixture
+def wheels():
+    """The script that makes the distribution of machine code."""
+    script = Path(__file__).parents[3] / ".ci" / "kernels.py"
+    spec = importlib.util.spec_from_file_location("ci_kernels", script)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.skipif(
+    not machine_code.usable() or machine_code.target() == "native", reason="machine code is made for x86-64-v3 on Linux"
+)
+def test_machine_code_from_a_distribution(program, wheels, tmp_path):
+    """Started without Numba, whatever the processor; what does not fit is compiled here."""
+    (tmp_path / "calls.py").write_text(FEW_CALLS)
+    (tmp_path / "pretend.py").write_text(PRETEND)
+    site, shipped = tmp_path / "site", tmp_path / "site" / machine_code.SHIPPED
+
+    def kept():
+        return {path.name: path.read_bytes() for path in (tmp_path / "kernels").rglob("*.code")}
+
+    def fresh(script="calls.py", **environment):
+        shutil.rmtree(tmp_path / "kernels", ignore_errors=True)
+        path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])
+        return program(script, PYTHONPATH=path, PYTHONHASHSEED="0", **environment)
+
+    compiled, made = fresh(), kept()
+    assert compiled[0]
+    assert len(made) == 3
+    assert fresh("pretend.py") == compiled
+    assert kept() == made
+    wheel = wheels.packed(tmp_path / "dist", made, "1.0")
+    assert wheels.packed(tmp_path / "again", dict(reversed(made.items())), "1.0").read_bytes() == wheel.read_bytes()
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+        listed = archive.read("sppm_kernels-1.0.dist-info/RECORD").decode()
+    assert sorted(line.split(",")[0] for line in listed.splitlines()) == sorted(archive.namelist())
+    shipped.chmod(0o755)
+    (damaged,) = shipped.glob("worded-*.code")
+    damaged.chmod(0o644)
+    assert fresh() == (False, compiled[1])
+    assert not kept()
+    assert fresh(SPPM_TARGET="native") == compiled
+    assert kept().keys().isdisjoint(made)
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert fresh() == compiled
+    assert list(kept()) == [damaged.name]
+    assert program(PYTHONPATH=f"{site}{os.pathsep}{os.environ.get('PYTHONPATH', '')}") == (False, compiled[1])
+    damaged.write_bytes(whole)
+    damaged.chmod(0o666)
+    assert fresh() == compiled
+    assert list(kept()) == [damaged.name]
+    damaged.chmod(0o644)
+    shipped.chmod(0o777)
+    assert fresh() == compiled
+    assert kept().keys() == made.keys()
+    shipped.chmod(0o755)
+    (tmp_path / "kept.py").write_text(f"{MODULE}# edited\n")
+    assert fresh() == compiled
+    assert kept().keys().isdisjoint(made)
+
+
+def test_another_package_that_compiles_first_has_numba_compile_for_this_processor(program, tmp_path):
+    (tmp_path / "others_first.py").write_text(OTHERS_FIRST)
+    assert program("others_first.py") == (True, "native,None")
+
+
+def test_refused_machine_code_is_named(tmp_path, monkeypatch, capsys):
+    """By runs and by `sppm doctor`."""
+    good, bad, open_ = (tmp_path / f"{name}.code" for name in ("good", "bad", "open"))
+    whole = struct.pack("<I", 2) + b"{}" + b"code"
+    good.write_bytes(machine_code._MAGIC + struct.pack("<I", zlib.crc32(whole)) + whole)
+    bad.write_bytes(good.read_bytes()[:-1])
+    open_.write_bytes(good.read_bytes())
+    open_.chmod(0o666)
+    monkeypatch.setattr(machine_code, "refused", {})
+    monkeypatch.setattr(machine_code, "shipped", lambda: str(tmp_path))
+    found = {(ok, text) for ok, _, text in installation._shipped_kernels()}
+    assert found == {
+        (True, f"{tmp_path}: 3 kernels"),
+        (False, f"{bad} is not used: it is damaged"),
+        (False, f"{open_} is not used: other users may write to it (mode 666)"),
+    }
+    assert machine_code.read(str(good)) == ({}, b"code")
+    assert machine_code.read(str(tmp_path / "none.code")) is None
+    with contextlib.ExitStack() as stack:
+        _monitor(Namespace(log=None, verbose=False, quiet=False), stack)
+    assert f"{bad} is not used, its kernels are compiled here: it is damaged" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such owners")
+def test_files_of_other_users_are_refused():
+    about = os.stat_result((0o644, 0, 0, 1, os.geteuid() + 4321, 0, 0, 0, 0, 0))
+    assert writers(about) == f"it belongs to the user {os.geteuid() + 4321}"
+
+
+@pytest.mark.parametrize(
+    ("flags", "environment", "wanted"),
+    [
+        ("fma avx avx2 bmi1 bmi2 f16c abm movbe xsave avx512f", {}, "x86-64-v3"),
+        ("fma avx bmi1 bmi2 f16c abm movbe xsave", {}, "native"),
+        ("fma avx avx2 bmi1 bmi2 f16c abm movbe xsave", {"SPPM_TARGET": "Native"}, "native"),
+        ("fma avx avx2 bmi1 bmi2 f16c abm movbe xsave", {"NUMBA_CPU_NAME": "znver3"}, "native"),
+    ],
+)
+def test_what_kernels_are_compiled_for(flags, environment, wanted, tmp_path, monkeypatch):
+    (tmp_path / "cpuinfo").write_text(f"model name\t: A\nflags\t\t: fpu {flags} sse\n\nflags\t: none\n")
+    monkeypatch.setattr(machine_code, "_CPUINFO", str(tmp_path / "cpuinfo"))
+    monkeypatch.delenv("SPPM_TARGET", raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert machine_code.target.__wrapped__() == wanted
 
 
 def test_nothing_half_written_stays_on_a_full_disk(tmp_path, monkeypatch):
