@@ -82,7 +82,7 @@ class Calls:
         import sppm_pipeline.services.jit.compiling  # noqa: F401 - so that Numba is ready
         from sppm_pipeline.engine.run import runner
         from sppm_pipeline.services.jit.compiled import Kernel
-        from sppm_pipeline.services.jit.kernel_signatures import signature_as_json
+        from sppm_pipeline.services.jit.machine_code import argument_kind, signature_as_json
 
         calls, open_ones = self, []
         original, original_step = Dispatcher._compile_for_args, runner.run_step
@@ -99,7 +99,9 @@ class Calls:
             if not place.startswith("sppm_pipeline."):
                 return made
             try:
-                signature = [signature_as_json(self.typeof_pyval(value)) for value in args]
+                signature = [signature_as_json(argument_kind(value)) for value in args]
+                if None in signature:
+                    raise ValueError(f"kernels are not compiled ahead for {args}")
                 getattr(sys.modules[self.py_func.__module__], self.py_func.__qualname__)
             except (ValueError, AttributeError) as error:
                 calls.unlisted.add(f"{place}: {error}")

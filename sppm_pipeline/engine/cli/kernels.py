@@ -143,7 +143,7 @@ def _compile(place: str, signatures: list[Any]) -> None:
     """In a child process."""
     import gc
 
-    from sppm_pipeline.services.jit.kernel_signatures import compile_kernel
+    from sppm_pipeline.services.jit.compiling import compile_kernel
 
     gc.disable()  # a twelfth of the time; the compiler keeps most of what it makes
     compile_kernel(place, signatures)

@@ -47,7 +47,7 @@ class Kernel(NamedTuple):
     seconds: float  # CPU time of compiling when the list was made
     stages: tuple[str, ...]  # those that were seen to call it
     company: tuple[str, ...]  # stages that were in every pipeline in which it was called
-    signatures: list[Any]  # see `kernel_signatures`
+    signatures: list[Any]  # see `machine_code.signature_as_json`
 
 
 def listed_kernels() -> list[Kernel]:

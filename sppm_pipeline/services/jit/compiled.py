@@ -86,9 +86,13 @@ class Kernel:
             return self.dispatcher(*args, **named)
         ready = load(self.py_func, kinds)
         if ready is None:
+            from sppm_pipeline.services.jit.compiling import keep
+
             ready = self.dispatcher
-            ready._cache.keep_from_now(ready.overloads)
-        result = ready(*args)
+            result = ready(*args)
+            keep(ready, tuple(map(ready.typeof_pyval, args)), kinds)
+        else:
+            result = ready(*args)
         self._ready[key] = ready
         return result
 

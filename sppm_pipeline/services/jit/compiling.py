@@ -5,13 +5,14 @@ Nothing imports this module but `compiled`, when a kernel has to be compiled or 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
 import numba.cpython.hashing
 import numpy as np
-from numba.core import config, event
+from numba.core import config, event, types
 from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
@@ -21,7 +22,6 @@ from numba.extending import intrinsic
 # not by `from`, which makes a module part of the state of all kernels: how code is kept does not change what it does
 import sppm_pipeline.services.jit.machine_code as machine_code
 from sppm_pipeline.services.jit.kernel_cache import first_compilation, kernel_cache_folder, saving
-from sppm_pipeline.services.jit.kernel_signatures import signature_as_json
 
 
 def _load_numba_without_scipy() -> None:
@@ -66,7 +66,7 @@ def dispatcher_of(function: Callable[..., Any], fastmath: set[str] | bool) -> An
     njit: Any = numba.njit  # whose annotations know fewer options than it has
     wrapped: Any = njit(nogil=True, error_model="numpy", fastmath=fastmath, no_cfunc_wrapper=True)(function)
     wrapped._cache = _Cache(function)  # type: ignore[no-untyped-call]
-    wrapped._cache.folder = folder
+    wrapped._cache.folder, wrapped._cache.loaded = folder, {}
     return wrapped
 
 
@@ -77,13 +77,10 @@ def intrinsic_type(definition: Callable[..., Any]) -> Any:
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of one function, safe for processes that save at the same time.
-
-    With `keep`, Python calls the function, and its machine code is kept to be started without Numba as well.
-    """
+    """Numba's cache of one function, safe for processes that save at the same time."""
 
     folder: str
-    keep = False
+    loaded: dict[Any, Any]  # of each signature what was on the disk
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # Numba would first make ready all that it can compile, a twentieth of the time of a short run. Machine code
@@ -96,38 +93,58 @@ class _Cache(FunctionCache):
             data = self._cache_file.load(key)  # type: ignore[no-untyped-call]
             if data is None:
                 return None
-            if self.keep:
-                self._keep(sig, data)
+            self.loaded[sig] = data
             return self._impl.rebuild(target_context, data)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with saving(self.folder):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-        if self.keep and self._enabled and self._impl.check_cachable(data):
-            self._keep(sig, self._impl.reduce(data))
 
-    def keep_from_now(self, compiled: dict[Any, Any]) -> None:
-        """Keep what is compiled from here on, and what was compiled before, as another kernel calls it."""
-        if not self.keep:
-            self.keep = True
-            for one in compiled.values():
-                if self._enabled and self._impl.check_cachable(one):
-                    self._keep(one.signature.args, self._impl.reduce(one))
 
-    def _keep(self, sig: Any, data: Any) -> None:
-        """Keep machine code that Numba has made; `data` is what Numba's own cache writes."""
-        if not machine_code.usable() or len(data) != 9:
-            return
-        library, described, environment, _, objectmode, lifted, _, again, referenced = data
-        if objectmode or lifted or again or library[1] != "object":
-            return
-        try:
-            kinds = [signature_as_json(kind) for kind in sig]
-        except ValueError:
-            return
-        environments = {one.env_name: _dtypes(one.consts) for one in (environment, *referenced)}
-        code = machine_code.Code(described.llvm_cpython_wrapper_name, environment.env_name, environments, library[2][0])
-        machine_code.keep(self._py_func, kinds, code)
+def keep(dispatcher: Any, signature: tuple[Any, ...], kinds: Sequence[Any]) -> None:
+    """Keep the machine code that Numba has for the types `signature`, for arguments of these kinds."""
+    compiled, cache = dispatcher.overloads.get(signature), dispatcher._cache
+    if compiled is None or not machine_code.usable() or not cache._enabled or not cache._impl.check_cachable(compiled):
+        return
+    # what Numba's own cache writes
+    written = cache.loaded.get(signature) or cache._impl.reduce(compiled)
+    library, described, environment, _, objectmode, lifted, _, again, referenced = written
+    if objectmode or lifted or again or library[1] != "object":
+        return
+    environments = {one.env_name: _dtypes(one.consts) for one in (environment, *referenced)}
+    code = machine_code.Code(described.llvm_cpython_wrapper_name, environment.env_name, environments, library[2][0])
+    machine_code.keep(dispatcher.py_func, kinds, code)
+
+
+def read(kind: str | list[Any]) -> types.Type:
+    """The Numba type of a JSON value; `ValueError` if there is no such type."""
+    if isinstance(kind, list):
+        module, _, name = kind[0].rpartition(".")
+        made = getattr(importlib.import_module(module), name) if name else None
+        joined: types.Type = types.BaseTuple.from_types(tuple(map(read, kind[1:])), made)  # type: ignore[no-untyped-call]
+        return joined
+    if kind == "none":
+        return types.none
+    name, *array = kind.split()
+    number = types.boolean if name == "bool" else getattr(types, name, None)
+    if not isinstance(number, types.Number | types.Boolean):
+        raise ValueError(f"there is no number {name!r}")
+    if not array:
+        return number
+    dimensions, order, *readonly = array
+    made_of: Any = types.Array  # whose annotations know its orders one by one
+    filled: types.Type = made_of(number, int(dimensions), order, readonly=bool(readonly))
+    return filled
+
+
+def compile_kernel(place: str, signatures: Sequence[Sequence[str | list[Any]]]) -> None:
+    """Compile the kernel ``package.module:name`` for the argument types of each signature, or load it from the disk."""
+    module, _, name = place.partition(":")
+    kernel = getattr(importlib.import_module(module), name).dispatcher
+    for kinds in signatures:
+        signature = tuple(map(read, kinds))
+        kernel.compile(signature)
+        keep(kernel, signature, kinds)
 
 
 def _dtypes(constants: list[Any]) -> list[str] | None:

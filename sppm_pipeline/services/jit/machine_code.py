@@ -114,7 +114,12 @@ def argument_kind(value: Any) -> Any:
 
 
 def signature_as_json(kind: Any) -> str | list[Any] | None:
-    """A kind as a JSON value, as `services.jit.kernel_signatures` writes Numba's types; None for others."""
+    """A kind as a JSON value, of which `compiling.read` makes Numba's type; None for kinds that are left to Numba.
+
+    A number is written as Numba calls it (``"int64"``), an array as ``"float32 3 C"`` with its dimensions and its order
+    in memory, and ``"float32 3 C readonly"`` if it can't be written to; a tuple as a list that begins with its class,
+    which is empty for a plain one; None as ``"none"``.
+    """
     if not isinstance(kind, tuple):
         return "none" if kind is type(None) else NUMBERS.get(kind)
     if isinstance(kind[0], type):

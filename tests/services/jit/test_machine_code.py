@@ -20,8 +20,9 @@ import pytest
 
 from sppm_pipeline.engine.cli import installation
 from sppm_pipeline.engine.cli.run import _monitor
-from sppm_pipeline.services.jit import kernel_signatures, machine_code
+from sppm_pipeline.services.jit import machine_code
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.jit.compiling import read
 from sppm_pipeline.services.jit.machine_code import argument_kind, signature_as_json, symbols_of
 from sppm_pipeline.services.private_folder import writers
 
@@ -376,13 +377,13 @@ def frozen(array):
     ],
 )  # fmt: skip
 def test_kinds_are_those_of_numba(value):
-    assert signature_as_json(argument_kind(value)) == kernel_signatures.signature_as_json(numba.typeof(value))
+    assert read(signature_as_json(argument_kind(value))) == numba.typeof(value)
 
 
 def test_a_mapped_file_is_an_array(tmp_path):
     mapped = np.memmap(tmp_path / "values", np.float32, "w+", shape=(2, 3))
     assert signature_as_json(argument_kind(mapped)) == "float32 2 C"
-    assert kernel_signatures.signature_as_json(numba.typeof(mapped)) == "float32 2 C"
+    assert read("float32 2 C") == numba.typeof(mapped)
 
 
 @pytest.mark.parametrize(
