@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import platform
@@ -186,24 +187,21 @@ def execute_doctor(args: Namespace) -> int:
 
 def _compile() -> list[Finding]:
     """Compile what is not kept yet, on all processors; the kernels that could not be."""
-    from sppm_pipeline.engine.cli.kernels import CompileAhead
+    from sppm_pipeline.engine.cli.kernels import compile_apart
     from sppm_pipeline.engine.cli.progress import ProgressLines
     from sppm_pipeline.engine.plan.kernels import listed_kernels, missing
     from sppm_pipeline.engine.run.runner import available_threads
 
-    if not (kernels := missing(listed_kernels())):
-        return []
     failed: list[Finding] = []
-    ahead = CompileAhead(
-        kernels, available_threads(), {}, lambda place, why: failed.append((False, "kernel", f"{place}: {why}"))
-    )
-    lines = ProgressLines(sys.stderr) if sys.stderr is not None else None
-    try:
-        ahead.wait(None, lines.compiling if lines else lambda done, total, share: None)
-    finally:
-        ahead.close()
-        if lines:
-            lines.close()
+
+    class Lines(ProgressLines):
+        def not_compiled(self, place: str, why: str) -> None:
+            failed.append((False, "kernel", f"{place}: {why}"))
+
+    if kernels := missing(listed_kernels()):
+        lines = Lines(sys.stderr or io.StringIO())
+        compile_apart(kernels, lines, available_threads())
+        lines.close()
     return failed
 
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
-from sppm_pipeline.engine.cli.kernels import Waiting
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.errors import harmless
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
 
@@ -42,7 +42,7 @@ _BAR = 20
 _RED, _GREEN, _YELLOW = 31, 32, 33
 
 
-class ProgressLines(Waiting):
+class ProgressLines(Monitor):
     """Shows the events of a run: with `verbose` a line with date and time for each and no bar, with `quiet` only
     warnings. `log` gets these lines as well, whatever is shown; `clock` gives seconds.
     """
@@ -78,23 +78,20 @@ class ProgressLines(Waiting):
     def stage_started(self, stage: str, number: int, total: int) -> None:
         self._outer = False
         self._begin(f"[{number}/{total}] {stage}")
-        begun = self._clock()
-        super().stage_started(stage, number, total)
-        # `super` waits for the kernels of this stage
-        waited = self._clock() - begun
-        if waited > 1:
-            self._settle(f"{self._title}: kernels compiled, {_duration(waited)}; once, then they are kept")
-        # the clock of the stage starts after that
-        self._begin(self._title)
         self._record(f"{self._title} begins")
 
     def compiling(self, done: int, total: int, share: float) -> None:
-        """Kernels are compiled ahead, once; then they are kept."""
-        self._show(share, f"compiling kernels {done} of {total}")
+        """Kernels are compiled, once; then they are kept."""
+        if not done:
+            self._begin("compiling kernels")
+        self._show(share, f"{done} of {total}")
+        if done == total:
+            self._title = ""
+            self._settle(f"kernels compiled, {_duration(self._clock() - self._begun)}; once, then they are kept")
 
     def not_compiled(self, place: str, why: str) -> None:
         """For those who asked for each event: nothing is lost but time."""
-        self._record(f"not compiled ahead: {place}: {why}")
+        self._record(f"not compiled: {place}: {why}")
 
     def progress(self, stage: str, inner: bool, done: float, total: float, what: str) -> None:
         """See `Monitor`; what a stage says itself hides what the stages of its recipes say."""

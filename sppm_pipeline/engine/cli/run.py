@@ -27,7 +27,7 @@ from sppm_pipeline.engine.cli.arguments import (
 from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.cli.kernels import Waiting
+    from sppm_pipeline.engine.cli.progress import ProgressLines
     from sppm_pipeline.engine.plan.session import Session
     from sppm_pipeline.engine.plan.wiring import Step
     from sppm_pipeline.engine.run.crew import WorkerPool
@@ -137,7 +137,7 @@ def _execute(args: Namespace) -> int:
 
         return execute_check(args)
     from sppm_pipeline.engine.cache.housekeeping import open_store
-    from sppm_pipeline.engine.cli.kernels import compiling_ahead
+    from sppm_pipeline.engine.cli.kernels import compile_first
     from sppm_pipeline.engine.config.problems import raise_problems
     from sppm_pipeline.engine.plan.checking import checked
     from sppm_pipeline.engine.plan.estimate import unfit_problems
@@ -168,7 +168,7 @@ def _execute(args: Namespace) -> int:
     monitor = _monitor(args, stack)
     kept = dict.fromkeys(_of_report("before_run")(plan)) if args.report and not rows else {}
     try:
-        ahead = stack.enter_context(compiling_ahead(plan, monitor, threads))
+        compile_first(plan, monitor, threads)
         if session.configuration.sweep is None:
             record = run_plan(
                 plan,
@@ -184,8 +184,6 @@ def _execute(args: Namespace) -> int:
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
 
-            if ahead is not None:  # its rows run elsewhere
-                ahead.wait(None, monitor.compiling)
             record = run_sweep(
                 session,
                 plan,
@@ -231,7 +229,7 @@ def _execute(args: Namespace) -> int:
     return 0
 
 
-def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
+def _monitor(args: Namespace, stack: contextlib.ExitStack) -> ProgressLines:
     """The monitor that shows the run, closed by `stack`."""
     from sppm_pipeline.engine.cli.progress import ProgressLines
     from sppm_pipeline.services.jit.kernel_cache import on_first_compilation
@@ -250,7 +248,9 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     return monitor
 
 
-def _crew(session: Session, path: Path, options: WorkerOptions, monitor: Waiting, minimum: float) -> WorkerPool | None:
+def _crew(
+    session: Session, path: Path, options: WorkerOptions, monitor: ProgressLines, minimum: float
+) -> WorkerPool | None:
     """The workers of a single run, if it is to have any; started when a stage asks for them."""
     if options.executor is None and options.workers == 1:
         return None

@@ -14,14 +14,13 @@ import threading
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import numba
 import numpy as np
 import pytest
 from numba.core import types
 
-from sppm_pipeline.engine.cli.kernels import CompileAhead, Waiting, _why, compiling_ahead, in_order
+from sppm_pipeline.engine.cli.kernels import _why, compile_apart, compile_first
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.cli.progress import ProgressLines
 from sppm_pipeline.engine.plan.kernels import Kernel, kernels_of, listed_kernels, missing, stages_of
@@ -89,14 +88,6 @@ def test_a_plan_gets_the_kernels_of_its_stages_in_company_they_were_seen_in():
     assert kernels_of({"field.gaussian", "read.mesh"}, [one, other]) == []
 
 
-def test_what_is_needed_first_is_compiled_first():
-    late = Kernel("m:late", 9, ("write.mesh",), (), [])
-    short = Kernel("m:short", 1, ("write.png", "write.mesh"), (), [])
-    long = Kernel("m:long", 2, ("write.png",), (), [])
-    inner = Kernel("m:inner", 3, ("elsewhere",), (), [])
-    assert in_order([inner, late, short, long], ["write.png", "write.mesh"]) == [long, short, late, inner]
-
-
 @pytest.fixture
 def empty(tmp_path, monkeypatch):
     """Nothing is compiled yet."""
@@ -119,24 +110,31 @@ print(dict(_insertion_sort.stats.cache_misses), len(_insertion_sort.stats.cache_
 """
 
 
+class Told:
+    """What was told of compiling."""
+
+    def __init__(self):
+        self.numbers, self.failed = [], []
+
+    def compiling(self, *numbers):
+        self.numbers.append(numbers)
+
+    def not_compiled(self, *why):
+        self.failed.append(why)
+
+
 def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
-    good = next(k for k in listed_kernels() if k.place == SORT)
-    gone = Kernel("sppm_pipeline.services.mesh.measures:_no_more", 1, ("write.png",), (), [["int64"]])
+    good = next(k for k in listed_kernels() if k.place == SORT)._replace(seconds=3.0)
+    gone = Kernel("sppm_pipeline.services.mesh.measures:_no_more", 1.0, ("write.png",), (), [["int64"]])
     assert missing([good]) == [good]
-    failed = []
-    ahead = CompileAhead([gone, good], 1, {"layers": "write.png"}, lambda *why: failed.append(why))
-    try:
-        told = []
-        ahead.wait("layers", lambda *numbers: told.append(numbers))
-        ahead.wait(None, lambda *numbers: told.append(numbers))
-        assert told[0] == (0, 2, 0.0)
-    finally:
-        ahead.close()
+    told = Told()
+    compile_apart([gone, good], told, 1)
+    assert told.numbers == [(0, 2, 0.0), (1, 2, 0.75), (2, 2, 1.0)]  # by the time that they take, the longest first
+    assert [(place, "_no_more" in why, "\n" in why) for place, why in told.failed] == [(gone.place, True, False)]
     deadline = time.monotonic() + 60
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not multiprocessing.active_children()
-    assert [(place, "_no_more" in why, "\n" in why) for place, why in failed] == [(gone.place, True, False)]
     assert missing([good]) == []
     by_numba = ["True", "{}", "1"]
     for switch, expected in (("on", ["False", "{}", "0"] if usable() else by_numba), ("off", by_numba)):
@@ -169,13 +167,12 @@ def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
 def test_what_children_could_not_compile_is_told_to_those_who_want_to_know(cell_plan, monkeypatch):
     monkeypatch.setattr("sppm_pipeline.engine.cli.kernels._compile", operator.truediv)  # raises in the child
     stream, log = io.StringIO(), io.StringIO()
-    monitor = ProgressLines(stream, log=log)
-    with compiling_ahead(cell_plan, monitor, 2) as ahead:
-        ahead.wait(None, lambda done, total, share: None)
-    monitor.close()
-    lines = [line for line in log.getvalue().splitlines() if "not compiled ahead: sppm_pipeline." in line]
-    assert len(lines) == len(missing(kernels_of(stages_of(cell_plan), listed_kernels()))) > 10
-    assert all(": TypeError: unsupported operand" in line for line in lines)
+    lines = ProgressLines(stream, quiet=True, log=log)
+    compile_first(cell_plan, lines, 2)
+    lines.close()
+    said = [line for line in log.getvalue().splitlines() if "not compiled: sppm_pipeline." in line]
+    assert len(said) == len(missing(kernels_of(stages_of(cell_plan), listed_kernels()))) > 10
+    assert all(": TypeError: unsupported operand" in line for line in said)
     assert stream.getvalue() == ""
     assert _why(BrokenProcessPool("about the pool")) == "a compiling process died"
 
@@ -193,30 +190,24 @@ def test_a_system_without_child_processes_runs_without_them(cell_plan, monkeypat
         raise NotImplementedError("no semaphores")
 
     monkeypatch.setattr("concurrent.futures.ProcessPoolExecutor", refuse)
-    with compiling_ahead(cell_plan, Waiting(), 2) as ahead:
-        assert ahead is None
+    told = Told()
+    compile_first(cell_plan, told, 2)
+    assert told.numbers == told.failed == []
 
 
-def test_stages_wait_for_what_is_compiled_ahead_and_nobody_else_does(cell_plan, monkeypatch):
+def test_what_a_plan_needs_is_compiled_unless_it_is_switched_off(cell_plan, monkeypatch):
     begun = []
-    monkeypatch.setattr(
-        "sppm_pipeline.engine.cli.kernels.CompileAhead", lambda *args: begun.append(args[:3]) or MagicMock()
-    )
-    with compiling_ahead(cell_plan, Waiting(), 1) as alone:
-        assert alone is None
-    monitor = Waiting()
-    with compiling_ahead(cell_plan, monitor, 4) as ahead:
-        ((kernels, processes, ids),) = begun
-        assert processes == 4
-        assert ids["write.picture"] == "write.picture"
-        assert {"sample.dart_throwing", "connect.mbdst"} <= {stage for k in kernels for stage in k.stages}
-        monitor.stage_started("write.picture", 1, 2)
-        ahead.wait.assert_called_once_with("write.picture", monitor.compiling)
-    ahead.close.assert_called_once()
-    assert monitor.ahead is None
+    monkeypatch.setattr("sppm_pipeline.engine.cli.kernels.compile_apart", lambda *given: begun.append(given))
+    told = Told()
+    compile_first(cell_plan, told, 1)  # which would have nothing to share
+    assert begun == []
+    compile_first(cell_plan, told, 4)
+    ((kernels, progress, processes),) = begun
+    assert (progress, processes) == (told, 4)
+    assert {"sample.dart_throwing", "connect.mbdst"} <= {stage for k in kernels for stage in k.stages}
     monkeypatch.setenv("SPPM_COMPILE_AHEAD", "off")
-    with compiling_ahead(cell_plan, monitor, 4) as off:
-        assert off is None
+    compile_first(cell_plan, told, 4)
+    assert len(begun) == 1
 
 
 def test_nothing_is_compiled_ahead_that_nobody_would_find(monkeypatch):

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import io
 import re
-import threading
 import time
-from concurrent.futures import Future
 
 import pytest
 
-from sppm_pipeline.engine.cli import kernels, progress
+from sppm_pipeline.engine.cli import progress
 from sppm_pipeline.engine.cli.progress import ProgressLines
 from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.services.jit import kernel_cache
@@ -151,20 +149,23 @@ def test_the_clock_goes_on_while_nothing_is_heard(columns, monkeypatch):
     assert "[1/1] tune 1:02:05 h" in stream.getvalue()
 
 
-def test_a_stage_begins_when_its_kernels_are_compiled():
-    class Ahead:
-        def wait(self, stage, notify):
-            clock.now += 5
-            notify(12, 30, 0.25)
-            clock.now += 5
-
+def test_kernels_are_compiled_before_the_first_stage():
     stream, clock = io.StringIO(), Clock()
     lines = ProgressLines(stream, clock=clock)
-    lines.ahead = Ahead()
+    lines.compiling(0, 30, 0.0)
+    clock.now += 11
+    lines.compiling(12, 30, 0.25)
+    clock.now += 5
+    lines.compiling(30, 30, 1.0)
     lines.stage_started("tune", 1, 2)
+    clock.now += 11
+    lines.progress("tune", False, 0.5, 1, "")
     assert stream.getvalue().splitlines() == [
-        "[1/2] tune: 25%, compiling kernels 12 of 30, 5 s, 15 s left",
-        "[1/2] tune: kernels compiled, 10 s; once, then they are kept",
+        "compiling kernels: 0%, 0 of 30, 0 s",
+        "compiling kernels: 25%, 12 of 30, 11 s, 33 s left",
+        "compiling kernels: 100%, 30 of 30, 16 s",
+        "kernels compiled, 16 s; once, then they are kept",
+        "[1/2] tune: 50%, 11 s, 11 s left",
     ]
 
 
@@ -182,22 +183,6 @@ def test_no_time_is_shown_before_a_tenth_is_done_and_fractions_are_no_counts():
         "[1/1] crush: 10%, strain, 3:00 min, 27:00 min left",
         "[1/1] crush: 50%, 3:00 min, 3:00 min left",
     ]
-
-
-def test_kernels_are_weighed_by_the_time_they_take():
-    heard = []
-    slow, quick = (kernels.Kernel(name, seconds, ("s",), (), []) for name, seconds in (("slow", 9.0), ("quick", 1.0)))
-    ahead = object.__new__(kernels.CompileAhead)
-    first, second = Future(), Future()
-    ahead._ids, ahead._futures = {}, [(slow, first), (quick, second)]
-    ahead._ended, ahead._changed = {second}, threading.Condition()
-
-    def notify(*numbers):
-        heard.append(numbers)
-        ahead._ended.add(first)
-
-    ahead.wait(None, notify)
-    assert heard == [(1, 2, 0.1)]
 
 
 def test_what_a_stage_says_hides_what_its_recipes_say():
