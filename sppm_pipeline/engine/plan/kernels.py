@@ -16,7 +16,6 @@ from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.services.jit.kernel_cache import (
     is_kept,
     kernel_cache_lasts,
-    look_again,
     on_first_compilation,
     source_of,
 )
@@ -70,7 +69,6 @@ def missing(kernels: Iterable[Kernel]) -> list[Kernel]:
     """Those that have to be compiled; none if nothing can be kept on the disk."""
     from sppm_pipeline.services.jit.machine_code import is_shipped
 
-    look_again()
     wanted = kernels if kernel_cache_lasts() else ()
     left = [k for k in wanted if not all(is_shipped(*source_of(k.place), kinds) for kinds in k.signatures)]
     return [k for k in left if not is_kept(k.place, len(k.signatures))]

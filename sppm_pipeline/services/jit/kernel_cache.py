@@ -286,19 +286,7 @@ def source_of(place: str) -> tuple[str, str]:
 def is_kept(place: str, specializations: int) -> bool:
     """True if Numba has compiled a kernel for so many kinds of arguments; does not load it."""
     source, name = source_of(place)
-    kept = _kept_files(kernel_cache_folder(source))
-    stem = f"{Path(source).stem}.{name}-"
-    return sum(file.startswith(stem) and file.endswith(".nbc") for file in kept) >= specializations
-
-
-def look_again() -> None:
-    """Forget which kernels were kept when `is_kept` last looked: other processes may have compiled some since."""
-    _kept_files.cache_clear()
-
-
-@functools.cache
-def _kept_files(folder: Path) -> tuple[str, ...]:
-    return tuple(file.name for file in folder.glob("*/*.nbc"))
+    return len(list(kernel_cache_folder(source).glob(f"*/{Path(source).stem}.{name}-*.nbc"))) >= specializations
 
 
 @contextlib.contextmanager

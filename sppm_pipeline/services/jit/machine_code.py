@@ -167,6 +167,7 @@ def usable() -> bool:
     return not reason_unavailable()
 
 
+@functools.cache
 def _version() -> str:
     """Numba's, from its files, as its import is what all this saves."""
     with contextlib.suppress(OSError, ImportError):
@@ -216,10 +217,11 @@ def _file_of(source: str, name: str, kinds: Sequence[Any]) -> str:
 def _place_of(function: FunctionType, kinds: Sequence[Any]) -> tuple[str, str] | None:
     """Source and file name of a kernel; None if it can't be kept.
 
-    A function with a closure is made again in every process, and what it holds may differ.
+    A function with a closure is made again in every process, and what it holds may differ; of one without a file, the
+    state of what it reaches is not known.
     """
     source, name = function.__code__.co_filename, function.__qualname__
-    if function.__closure__ is not None or not name.replace(".", "").isidentifier():
+    if function.__closure__ is not None or not name.replace(".", "").isidentifier() or not state_of(source):
         return None
     return source, _file_of(source, name, kinds)
 
@@ -261,7 +263,7 @@ def keep(function: FunctionType, kinds: Sequence[Any], code: Code) -> None:
     if None in needed.values():
         return
     about = {"entry": code.entry, "environment": code.environment, "environments": needed, "symbols": symbols[0]}
-    head = json.dumps(about | {"of": _of(function), "by": _version()}, separators=(",", ":")).encode()
+    head = json.dumps(about | {"of": _of(function), "by": _versions()}, separators=(",", ":")).encode()
     file = os.path.join(kernel_cache_folder(place[0]), place[1])
     new = f"{file}.{os.getpid()}-{threading.get_ident()}"
     whole = struct.pack("<I", len(head)) + head + code.object
@@ -287,16 +289,20 @@ def load(function: FunctionType, kinds: Sequence[Any]) -> Callable[..., Any] | N
         return None
     if shipped() and (started := _start(os.path.join(shipped(), place[1]), function, "")):
         return started
-    return _start(os.path.join(kernel_cache_folder(place[0]), place[1]), function, _version())
+    return _start(os.path.join(kernel_cache_folder(place[0]), place[1]), function, _versions())
 
 
-def _start(file: str, function: FunctionType, version: str) -> Callable[..., Any] | None:
-    """Start what a file holds, if it was made by this version of Numba; by any that fits if it is empty."""
+def _versions() -> str:
+    return f"{_version()} {np.__version__}"
+
+
+def _start(file: str, function: FunctionType, versions: str) -> Callable[..., Any] | None:
+    """Start what a file holds, if it was made by these versions; by any that fit if they are empty."""
     if (found := read(file)) is None:
         return None
     about, code = found
     try:
-        if about["of"] != _of(function) or (version and about["by"] != version):
+        if about["of"] != _of(function) or (versions and about["by"] != versions):
             return None
         with _LOADING:
             if started := _linker().start(about, code, function):

@@ -92,12 +92,10 @@ def test_a_plan_gets_the_kernels_of_its_stages_in_company_they_were_seen_in():
 def empty(tmp_path, monkeypatch):
     """Nothing is compiled yet."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    for cached in (kernel_cache.kernel_cache_root, kernel_cache._kept_files):
-        cached.cache_clear()
+    kernel_cache.kernel_cache_root.cache_clear()
     yield
     monkeypatch.undo()
-    for cached in (kernel_cache.kernel_cache_root, kernel_cache._kept_files):
-        cached.cache_clear()
+    kernel_cache.kernel_cache_root.cache_clear()
 
 
 CALL = """
