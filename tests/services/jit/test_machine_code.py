@@ -23,7 +23,8 @@ from sppm_pipeline.engine.cli.run import _monitor
 from sppm_pipeline.services.jit import machine_code
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.jit.compiling import read
-from sppm_pipeline.services.jit.machine_code import argument_kind, signature_as_json, symbols_of
+from sppm_pipeline.services.jit.linker import symbols_of
+from sppm_pipeline.services.jit.machine_code import argument_kind, signature_as_json
 from sppm_pipeline.services.private_folder import writers
 
 MODULE = """
