@@ -22,7 +22,7 @@ MAX_PROCESSES = 8
 
 
 class Progress(Protocol):
-    """What is told of compiling."""
+    """What is reported of compiling."""
 
     def compiling(self, done: int, total: int, share: float) -> None:
         """So many of all kernels are compiled, with this share of the time that all take."""
