@@ -11,8 +11,9 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
+from sppm_pipeline.engine.cli.progress import ProgressLines
 from sppm_pipeline.engine.plan.kernels import MIN_SECONDS_AHEAD, SWITCH, Kernel, missing_of
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.process.interruption import check
@@ -21,17 +22,7 @@ MAX_PROCESSES = 8
 """Child processes that compile: each takes 200 MB, and from about eight on the longest kernel sets the time."""
 
 
-class Progress(Protocol):
-    """What is reported of compiling."""
-
-    def compiling(self, done: int, total: int, share: float) -> None:
-        """So many of all kernels are compiled, with this share of the time that all take."""
-
-    def not_compiled(self, place: str, why: str) -> None:
-        """A kernel could not be compiled, which is left to its first call."""
-
-
-def compile_first(plan: Plan, progress: Progress, processes: int) -> None:
+def compile_first(plan: Plan, progress: ProgressLines, processes: int) -> None:
     """Compile what a plan needs, if it takes long enough for child processes to be worth starting."""
     off = processes < 2 or os.environ.get(SWITCH, "").lower() == "off"
     kernels = [] if off else missing_of(plan)
@@ -39,7 +30,7 @@ def compile_first(plan: Plan, progress: Progress, processes: int) -> None:
         compile_apart(kernels, progress, processes)
 
 
-def compile_apart(kernels: Sequence[Kernel], progress: Progress, processes: int) -> None:
+def compile_apart(kernels: Sequence[Kernel], progress: ProgressLines, processes: int) -> None:
     """Compile kernels in child processes, those that take longest first."""
     import multiprocessing
     from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait

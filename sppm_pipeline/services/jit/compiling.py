@@ -24,25 +24,6 @@ import sppm_pipeline.services.jit.machine_code as machine_code
 from sppm_pipeline.services.jit.kernel_cache import first_compilation, kernel_cache_folder, saving
 
 
-def _load_numba_without_scipy() -> None:
-    """Load the part of Numba that looks for BLAS, answering its question without the import of scipy.linalg.
-
-    That import takes longer than everything else in a short run; if `numpy.dot` is compiled after all, BLAS is found
-    then.
-    """
-    from numba.np import linalg
-
-    look = linalg.ensure_blas
-    linalg.ensure_blas = lambda: None
-    try:
-        import numba.np.arraymath  # noqa: F401
-    finally:
-        linalg.ensure_blas = look
-
-
-_load_numba_without_scipy()
-
-
 def _choose_target() -> None:
     """Have Numba compile for the level of all kernels, unless another package has had it compile for this processor."""
     given = getattr(config, "CPU_NAME"), getattr(config, "CPU_FEATURES")  # noqa: B009 - declared at run time
