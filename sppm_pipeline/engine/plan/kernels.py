@@ -66,12 +66,17 @@ def kernels_of(stages: set[str], kernels: Iterable[Kernel]) -> list[Kernel]:
 
 
 def missing(kernels: Iterable[Kernel]) -> list[Kernel]:
-    """Those that have to be compiled; none if nothing can be kept on the disk."""
+    """Those that have to be compiled; none if nothing can be kept on the disk, or installed machine code fits.
+
+    That was made of the same sources by running more than the list is of; the few kernels of an edited module are
+    compiled when they are called.
+    """
     from sppm_pipeline.services.jit.machine_code import is_shipped
 
-    wanted = kernels if kernel_cache_lasts() else ()
-    left = [k for k in wanted if not all(is_shipped(*source_of(k.place), kinds) for kinds in k.signatures)]
-    return [k for k in left if not is_kept(k.place, len(k.signatures))]
+    wanted = list(kernels) if kernel_cache_lasts() else []
+    if any(is_shipped(*source_of(kernel.place), kinds) for kernel in wanted for kinds in kernel.signatures):
+        return []
+    return [kernel for kernel in wanted if not is_kept(kernel.place, len(kernel.signatures))]
 
 
 def missing_of(plan: Plan) -> list[Kernel]:
