@@ -127,7 +127,8 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
     assert missing([good]) == [good]
     told = Told()
     compile_apart([gone, good], told, 1)
-    assert told.numbers == [(0, 2, 0.0), (1, 2, 0.75), (2, 2, 1.0)]  # by the time that they take, the longest first
+    # shares of the time that they take, the longest first; the second may end before the first was reported
+    assert told.numbers in ([(0, 2, 0.0), (1, 2, 0.75), (2, 2, 1.0)], [(0, 2, 0.0), (2, 2, 1.0)])
     assert [(place, "_no_more" in why, "\n" in why) for place, why in told.failed] == [(gone.place, True, False)]
     deadline = time.monotonic() + 60
     while multiprocessing.active_children() and time.monotonic() < deadline:
