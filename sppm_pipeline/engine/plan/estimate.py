@@ -239,7 +239,7 @@ def _program(entries: int) -> Cost:
 def compiling_cost(plan: Plan) -> Cost:
     """Cost of compiling the kernels that a plan will call and that are not on the disk.
 
-    Child processes that compile ahead do so beside the first stages; memory is that of the process of the run.
+    Where child processes compile, before the first stage, memory is that of the process of the run.
     """
     lacking = missing_of(plan)
     seconds = sum(kernel.seconds for kernel in lacking)
