@@ -219,12 +219,24 @@ class FieldSurface:
                     planes[:] = [tuple(field[: len(back[0]) + first + len(piece)] for field in fields)]
                     yield piece
 
+        def held_back() -> Iterator[F32]:
+            # as for caps, the last plane waits for the slab that follows
+            held = np.empty((0, ny, nx), np.float32)
+            for slab in values():
+                whole = np.concatenate([held, slab])
+                held = whole[-1:].copy()
+                if len(whole) > 1:
+                    yield whole[:-1]
+            yield held
+
         before: Placed | None = None
         first = 0
         caps = self.caps and part is None
         no_kinds, no_vertices, no_volumes = np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0)
-        extract = capped_marching_cubes_slabs if caps else marching_cubes_slabs
-        for vertices, faces in extract(values(), 0.0, origin, spacing):
+        extract, waiting = (
+            (capped_marching_cubes_slabs, values()) if caps else (marching_cubes_slabs, held_back(values()))
+        )
+        for vertices, faces in extract(waiting, 0.0, origin, spacing):
             field, domain, skin = (*planes[0], nothing, nothing)[:3]
             samples = Samples(self.grid, start, field, domain, skin, crossings)
             placed = place_vertices(vertices, samples)
