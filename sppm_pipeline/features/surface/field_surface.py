@@ -233,9 +233,7 @@ class FieldSurface:
         first = 0
         caps = self.caps and part is None
         no_kinds, no_vertices, no_volumes = np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0)
-        extract, waiting = (
-            (capped_marching_cubes_slabs, values()) if caps else (marching_cubes_slabs, held_back(values()))
-        )
+        extract, waiting = (capped_marching_cubes_slabs, values()) if caps else (marching_cubes_slabs, held_back())
         for vertices, faces in extract(waiting, 0.0, origin, spacing):
             field, domain, skin = (*planes[0], nothing, nothing)[:3]
             samples = Samples(self.grid, start, field, domain, skin, crossings)
