@@ -1,4 +1,4 @@
-"""Draw the picture that turns on top of README.md: the part of `configs/quickstart.yaml` from all sides.
+"""Draw the picture that turns on top of README.md: the part of `configs/quickstart.yaml` with a border, from all sides.
 
 Usage: ``python docs/draw_turning.py`` writes docs/pictures/turning.png, an animated PNG.
 """
@@ -19,7 +19,8 @@ FRAMES, SIZE, COLORS, PAUSE_MS = 36, (480, 320), 32, 110
 
 def main() -> None:
     """Draw each frame by rays, then join them with the colors of the first."""
-    part = sppm.run(str(ROOT / "configs" / "quickstart.yaml"), until="fill.implicit")["fill.implicit"]
+    border = {"fill.implicit.border": "round", "fill.implicit.thinnest": "0.3 mm"}
+    part = sppm.run(str(ROOT / "configs" / "quickstart.yaml"), set=border, until="fill.implicit")["fill.implicit"]
     with tempfile.TemporaryDirectory() as folder:
         frames = []
         for number in range(FRAMES):

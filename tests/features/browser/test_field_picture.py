@@ -11,6 +11,7 @@ from sppm_pipeline.features.browser.stages.write_picture import WritePicture
 from sppm_pipeline.method.connectivity.islands import keep_largest
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.border import Border
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
 from sppm_pipeline.method.tiling.lattice import dilated
@@ -64,6 +65,14 @@ def test_islands_and_chips_are_left_out(skin):
     shown = cover(kept)[0]
     assert shown[inside & (np.hypot(x - 7, y - 3) < 0.7)].min() == 1.0
     assert kept.removed_share == 0.0
+
+
+@pytest.mark.parametrize("azimuth", [-60.0, -20.0, 10.0, 45.0])
+def test_a_border_does_not_change_the_frame(wang_tiling, ball, azimuth):
+    plain, bordered = (scene_of(Part(wang_tiling, ball, border=border), 6) for border in (None, Border(0.3)))
+    one, other = (scene.frame((80, 60), Camera(azimuth, 20.0)) for scene in (plain, bordered))
+    assert one.scale == pytest.approx(other.scale, rel=1e-12)
+    assert (one.column, one.row) == pytest.approx((other.column, other.row), rel=1e-12)
 
 
 def test_the_share_of_islands_is_told(tmp_path):

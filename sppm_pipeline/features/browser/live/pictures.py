@@ -59,12 +59,14 @@ class Scene:
     unit_mm: float | None  # that unit, mm; None if it has no physical size
     removed_share: float  # islands that were left out, as a share of the solid samples
     colors: Colors
+    held: F64 | None = None  # corners (n, 3) of triangles that hold the solid closer than those of its box
 
     def frame(self, size: tuple[int, int], camera: Camera, margin: float = 0.04) -> Frame:
         """The camera, pointed at the whole, cut or not."""
         from sppm_pipeline.services.pictures.camera import framed
 
-        return framed(camera, self.solid.vertices[np.unique(self.solid.faces)], size, margin)
+        points = self.solid.vertices[np.unique(self.solid.faces)] if self.held is None else self.held
+        return framed(camera, points, size, margin)
 
     def picture(
         self, size: tuple[int, int], camera: Camera, *, section: float | None = None, section_along: str = "y",
@@ -119,7 +121,10 @@ def scene_of(
     else:
         colors = COLORS._replace(domain=COLORS.section)  # a cell ends where it is cut out of its copies
         solid, removed = Solid(grid, *_box(grid), _smooth(what, what.sample_zyx(grid, 0, grid.shape[2], threads))), 0.0
-    return Scene(solid, what.edge_mm, removed, colors)
+    held = None
+    if isinstance(what, Part) and what.border is not None:  # which ends the solid within the domain
+        held = (what.domain.vertices[np.unique(what.domain.faces)] - what.origin_mm) / what.physical_edge()
+    return Scene(solid, what.edge_mm, removed, colors, held)
 
 
 def _box(grid: Grid) -> tuple[F64, NDArray[np.integer]]:
