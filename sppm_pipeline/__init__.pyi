@@ -42,6 +42,7 @@ from sppm_pipeline.errors import ConfigError as ConfigError
 from sppm_pipeline.errors import DesignError as DesignError
 from sppm_pipeline.errors import InputError as InputError
 from sppm_pipeline.errors import SppmError as SppmError
+from sppm_pipeline.features.browser.notebook import show as show
 from sppm_pipeline.features.design.atlas import find as find
 from sppm_pipeline.features.grading.grader import Grader as Grader
 from sppm_pipeline.hookspecs import hookimpl as hookimpl

@@ -134,7 +134,7 @@ def test_the_example_on_the_page_runs(name):
 
 
 WITHOUT = {
-    *("run_native", "RecipeSize"),
+    *("run_native", "RecipeSize", "show"),
     *(f"nouns.{name}" for name in ("EncodedLayers", "Interiors", "KeptPores", "LayerObserver", "Place", "Printer")),
     *(f"numerics.{name}" for name in ("Hierarchy", "Level", "Measure", "Transfer", "Workspace", "load_cases", "solve")),
     *(f"numerics.{name}" for name in ("finish_row", "gather_row", "scatter_row", "refined")),

@@ -118,9 +118,10 @@ def environment(*folders: Path) -> jinja2.Environment:
     )  # fmt: skip
 
 
-def live_page(view: bytes) -> str:
-    """A page with nothing but the live view of a view file."""
-    script = joined_script(ASSETS / "base.js", *(ASSETS / name for name in LIVE_SCRIPTS))
+def live_page(view: bytes, framed: bool = False) -> str:
+    """A page with nothing but the live view of a view file; if `framed`, other data may come from around it."""
+    own = ("frame.js",) if framed else ()
+    script = joined_script(ASSETS / "base.js", *(ASSETS / name for name in (*LIVE_SCRIPTS, *own)))
     return (
         environment()
         .get_template("page.html")

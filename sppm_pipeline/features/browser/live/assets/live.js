@@ -75,7 +75,7 @@ async function startLive(bytes) {
     const value = asDesigned && recorded !== null ? recorded : porosity.at(view.level);
     const level = head.base + view.level * head.top;
     slider("readout").textContent = `porosity ${(100 * value).toFixed(2)} %, ${head.level_name} ${level.toPrecision(4)}`;
-    slider("readout").dataset.porosity = String(value);
+    Object.assign(slider("readout").dataset, { porosity: String(value), level: String(level) });
   }
 
   function cutSaid() {
@@ -229,4 +229,4 @@ async function startLive(bytes) {
   };
 }
 
-if (byId("data-view")) startLive(bytesOf("data-view"));
+const started = byId("data-view") ? startLive(bytesOf("data-view")) : null;
