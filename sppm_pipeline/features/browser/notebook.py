@@ -16,7 +16,7 @@ SAMPLES = 400_000
 
 
 def show(what: Artifact | Callable[..., Artifact], **sliders: tuple[float, ...]) -> Any:
-    """Show a structure live in a notebook: a widget that turns, cuts and tells what it shows.
+    """Show a structure live in a notebook: a widget that turns and is cut open.
 
     Needs the extra ``sppm-pipeline[notebook]``::
 
