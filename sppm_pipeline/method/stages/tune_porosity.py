@@ -197,7 +197,7 @@ class TunePorosity(Stage):
                 return field
             n = finer
         if isinstance(drawn, Microstructure):
-            self._check_tunnels(context, drawn)
+            self._check_alone(context, drawn, "tunnel")
         raise DesignError(
             f"the porosity {self.target:g} is missed by {error:.5f} on a grid of {n} voxels along an edge of the cell; "
             f"allowed are {self.tolerance:g}",
@@ -212,21 +212,23 @@ class TunePorosity(Stage):
             return field.with_level(level_for_porosity(field.sums(points, context.threads), self.target).level)
         return field.cut_at(cut_for_porosity(field.sample(points, context.threads), self.target).level)
 
-    def _check_tunnels(self, context: Context, micro: Microstructure) -> None:
-        """Raise `DesignError` if the tunnels alone, at their radius, make more void than is wanted."""
-        tunnel = radii_of(micro).tunnel
-        alone = with_radii(micro, pore=1e-3)  # pores so small that no sample finds them
+    def _check_alone(self, context: Context, micro: Microstructure, kept: str) -> None:
+        """Raise `DesignError` if the ``tunnel``s or ``pore``s alone, at their radius, make more void than is wanted."""
+        radius = getattr(radii_of(micro), kept)
+        # the others so small that no sample finds them
+        alone = with_radii(micro, **{"pore" if kept == "tunnel" else "tunnel": 1e-3})
         porosity = self._porosity(context, alone, self.resolution)
-        if not tunnel or porosity <= self.target:
+        if not radius or porosity <= self.target:
             return
-        factor, _, _ = self._radius_factor(context, lambda f: with_radii(alone, tunnel=f))
-        largest = factor * tunnel
+        factor, _, _ = self._radius_factor(context, lambda f: with_radii(alone, **{kept: f}))
+        largest = factor * radius
         millimeters = f" ({largest * micro.edge_mm:.3g} mm)" if micro.edge_mm is not None else ""
+        fewer = ", fewer pores, or fewer tunnels (`degree`)" if kept == "tunnel" else " or fewer pores"
         raise DesignError(
-            f"tunnels of a radius of {tunnel:.4g} cell sizes alone make a porosity of {porosity:.4f}, more than the "
-            f"{self.target:g} asked for; pores add to that",
-            hint=f"at this number of tunnels their radius must be below {largest:.3g} cell sizes{millimeters}; give "
-            "a smaller `tunnel_radius`, fewer pores, or fewer tunnels (`degree`)",
+            f"{kept}s of a radius of {radius:.4g} cell sizes alone make a porosity of {porosity:.4f}, more than the "
+            f"{self.target:g} asked for; {'pores' if kept == 'tunnel' else 'tunnels'} add to that",
+            hint=f"at this number of {kept}s their radius must be below {largest:.3g} cell sizes{millimeters}; give "
+            f"a smaller `{kept}_radius`{fewer}",
         )
 
     def _radius_factor(self, context: Context, made: Callable[[float], Microstructure]) -> tuple[float, float, int]:
@@ -254,8 +256,7 @@ class TunePorosity(Stage):
         micro = self._draw_pores(context, recipe, options)
         asked = radii_of(micro)
         moved = "pore" if self.hold == "tunnel_radius" else "tunnel"
-        if self.hold == "tunnel_radius":
-            self._check_tunnels(context, micro)
+        self._check_alone(context, micro, "tunnel" if moved == "pore" else "pore")
         factor, porosity, evaluations = self._radius_factor(context, lambda f: with_radii(micro, **{moved: f}))
         if abs(porosity - self.target) > self.tolerance:
             raise DesignError(

@@ -145,6 +145,15 @@ def test_tunnels_that_leave_too_little_solid_are_told_their_largest_radius(optio
     assert porosity(alone) == pytest.approx(0.3, abs=0.01)
 
 
+def test_pores_that_leave_too_little_solid_are_told_their_largest_radius():
+    recipe = of_the_paper(90, pore_radius=Length(0.13, "cell"), tunnel_radius=Length(0.05, "cell"))
+    with pytest.raises(DesignError, match=r"pores of a radius of 0\.13 cell sizes alone") as error:
+        TunePorosity(target=0.4, resolution=24, hold="pore_radius").run(PlainContext(2), recipe)
+    radius = Length(float(error.value.hint.split("below ")[1].split()[0]), "cell")
+    drawn = of_the_paper(90, pore_radius=radius, tunnel_radius=Length(0.05, "cell")).run(PlainContext(2))
+    assert porosity(with_radii(drawn, tunnel=1e-3)) == pytest.approx(0.4, abs=0.01)
+
+
 def test_a_gap_holds_both_radii():
     with pytest.raises(ConfigError, match="keeps both radii"):
         TunePorosity(target=0.5, by="gap", hold="tunnel_radius").check_options()
