@@ -60,7 +60,8 @@ PAPER = (
 
 OTHERS: tuple[str, ...] = (
     "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "tables/network", "tables/spheres",
-    "tables/walls_grid", "tables/struts", "tables/onset", "tables/volume", "tables/conduction", "tables/stiffest_density", "how_random", "stiffest_grid",
+    "tables/walls_grid", "tables/struts", "tables/onset", "tables/volume", "tables/conduction",
+    "tables/stiffest_density", "how_random", "stiffest_grid",
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
