@@ -1,4 +1,5 @@
-"""The sweep behind `sppm find`: designs of all families, drawn and measured; it goes on where it ended.
+"""The sweep behind `sppm find`: designs of all families, drawn and measured; it goes on where it ended,
+or from the rows of the package's data file.
 
     python -m benchmarks.atlas ROWS.csv --designs 40 --draws 2 --minutes 5     # add rows; repeat until it says done
     python -m benchmarks.atlas ROWS.csv --build                                # write the data file of the package
@@ -26,6 +27,8 @@ import sppm_pipeline as sppm
 from sppm_pipeline.features.design.atlas import (
     DATA,
     FAMILIES,
+    LENGTH_POWERS,
+    PORES,
     PROPERTIES,
     Atlas,
     built,
@@ -77,6 +80,8 @@ def main() -> None:
     parser.add_argument("--verify", type=int, default=0)
     parser.add_argument("--coverage", action="store_true")
     args = parser.parse_args()
+    if not (args.rows.exists() or args.first):
+        exported(args.rows)
     rows = list(csv.DictReader(args.rows.open(encoding="utf-8"))) if args.rows.exists() else []
     designs = [(row["family"], int(row["number"]), int(row["draw"])) for row in rows]
     if args.build:
@@ -95,6 +100,24 @@ def main() -> None:
         coverage(rows, designs)
     else:
         swept(args, set(designs))
+
+
+def exported(path: Path) -> None:
+    """Write the rows of the package's data file, from which a sweep goes on."""
+    atlas = Atlas.read()
+    scale = PORES ** (np.array(list(LENGTH_POWERS.values())) / 3)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for family in FAMILIES:
+            if family in atlas.stale():
+                continue
+            number, draw, values, digest = (
+                atlas.arrays[f"{family}.{key}"] for key in ("number", "draw", "values", "digest")
+            )
+            for k in range(len(number)):
+                numbers = [f"{value:.9g}" for value in np.exp(values[k].astype(float)) / scale]
+                writer.writerow([family, number[k], draw[k], *numbers, digest[k], versions(family)])
 
 
 def swept(args: argparse.Namespace, known: set[tuple[str, int, int]]) -> None:
