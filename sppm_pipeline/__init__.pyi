@@ -46,11 +46,9 @@ from sppm_pipeline.features.browser.notebook import show as show
 from sppm_pipeline.features.design.atlas import find as find
 from sppm_pipeline.features.grading.grader import Grader as Grader
 from sppm_pipeline.hookspecs import hookimpl as hookimpl
-from sppm_pipeline.hookspecs import stages_in as stages_in
 from sppm_pipeline.method.families import options as options
 from sppm_pipeline.method.families.connector import Connector as Connector
 from sppm_pipeline.method.families.field_maker import FieldMaker as FieldMaker
-from sppm_pipeline.method.families.field_maker import PartFieldMaker as PartFieldMaker
 from sppm_pipeline.method.families.file_writer import MeshWriter as MeshWriter
 from sppm_pipeline.method.families.homogenizer import Homogenizer as Homogenizer
 from sppm_pipeline.method.families.layer_writer import LayerWriter as LayerWriter

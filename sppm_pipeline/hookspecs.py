@@ -50,7 +50,7 @@ def stages_in(package: str) -> Callable[[], dict[str, str]]:
     --------
     >>> import sppm_pipeline as sppm
     >>> from sppm_pipeline.features import walls
-    >>> sppm.stages_in(walls.__name__)()
+    >>> sppm.nouns.stages_in(walls.__name__)()
     {'field.walls': 'sppm_pipeline.features.walls.stages.field_walls'}
     """
 

@@ -33,6 +33,7 @@ SENTENCES = {
     "sides": "what is done at the sides of a body that is crushed, or what lies beyond those of a cell",
     "values": "what stands in an image, or in a table",
     "density": "a share of solid, or the bounds of what a structure may have",
+    "material": "the look of a solid in a picture, or its name in a file for another program",
     "mass": "of a specimen that was tested, or the target of a part",
     "yield_stress": "a number where one linear solution is scaled, a table where the solid is followed beyond it",
 }

@@ -83,12 +83,12 @@ def test_what_states_its_own_summary_is_not_known():
          "log_euclidean_anisotropy E_min E_max bounds "
          "compliance solver expansion error error_relative E_error G_error E_relative_error"),
         (PermeabilityReport,
-         "k k_m2 darcy k_mean darcy_mean edge_mm error error_relative porosity pocket_share thermal "
-         "viscous_tortuosity thermal_tortuosity hydraulic_tortuosity surface kozeny grid precision iterations "
-         "residuals errors converged wraps warnings"),
+         "k error porosity grid precision iterations residuals errors converged wraps warnings k_m2 darcy k_mean "
+         "darcy_mean edge_mm error_relative pocket_share thermal viscous_tortuosity thermal_tortuosity "
+         "hydraulic_tortuosity surface kozeny"),
         (ConductivityReport,
-         "k error tortuosity of bulk fluid porosity grid fractions precision iterations residuals errors converged "
-         "wraps warnings"),
+         "k error porosity grid precision iterations residuals errors converged wraps warnings tortuosity of bulk "
+         "fluid fractions"),
         (AcousticReport,
          "axis porosity resistivity permeability thermal_permeability tortuosity viscous_tortuosity "
          "thermal_tortuosity viscous_length thermal_length shape layer temperature nrc peak peak_frequency "

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Length, PartFieldMaker, ScalarField, SurfaceMesh, options
+from sppm_pipeline import ConfigError, Context, Length, ScalarField, SurfaceMesh, options
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.nouns import PlacedField
+from sppm_pipeline.nouns import PartFieldMaker, PlacedField
 from sppm_pipeline.numerics import Grid, Kernels, Pieces, TilingArrays
 
 CUTOFF = 1e-5

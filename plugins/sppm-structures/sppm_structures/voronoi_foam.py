@@ -15,14 +15,13 @@ from sppm_pipeline import (
     Context,
     InputError,
     Length,
-    PartFieldMaker,
     PoreSet,
     ScalarField,
     SurfaceMesh,
     frozen,
     option,
 )
-from sppm_pipeline.nouns import CellIndex, CellwiseField
+from sppm_pipeline.nouns import CellIndex, CellwiseField, PartFieldMaker
 from sppm_structures.seeds import MAX_SEEDS, HashedSeeds, blue_noise, images_near
 
 MAX_SHARED = np.sqrt(3.0) / 2

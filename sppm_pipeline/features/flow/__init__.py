@@ -1,5 +1,5 @@
 """Flow and transport: permeability, acoustics and conductivity of a cell, and its pore network."""
 
-from sppm_pipeline import stages_in
+from sppm_pipeline.nouns import stages_in
 
 sppm_stages = stages_in(__name__)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.hookspecs import Command, hookimpl, stages_in
-from sppm_pipeline.nouns.report import ReportSection
+
+if TYPE_CHECKING:
+    from sppm_pipeline.nouns.report import ReportSection  # which loads numpy
 
 sppm_stages = stages_in(__name__)
 GROUPS = {"": "everyday"}

@@ -31,7 +31,7 @@ def taken(megabytes):
 
 def test_each_has_its_own_peak():
     first = taken(300)
-    assert 280 < first < 340
+    assert 270 < first < 340
     assert 80 < taken(100) < 140  # less than the highest so far: seen by looking
     before = held_memory()[0] / 1e6
     with PeakWatch() as watch:

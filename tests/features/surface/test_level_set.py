@@ -90,11 +90,6 @@ def test_nothing_inside():
     assert (vertices.shape, faces.shape, status) == ((0, 3), (0, 3), "NoError")
 
 
-def test_samples_of_the_wrong_number():
-    with pytest.raises(ValueError, match="odd"):
-        run_level_set(np.zeros((4, 5, 5), np.float32), (0.0, 0.0, 0.0), 1.0)
-
-
 def test_bytes_grow_in_steps_of_two():
     grid = Grid((0.0,) * 3, (1.0,) * 3, (100, 62, 62))
     more = grid._replace(shape=(100, 61, 62))

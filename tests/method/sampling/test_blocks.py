@@ -190,8 +190,6 @@ def test_what_does_not_fit_is_refused():
     # all of it within the capacity of an infinite packing, but not in every single block
     with pytest.raises(DesignError, match=r"fit into the block \(.*blocks are too full"):
         throw_blocks(0, block_quotas(np.ones((4, 4, 4), bool), 60), spacing_at_share(60, 1.0), periodic=True)
-    with pytest.raises(ValueError, match="takes no density"):
-        throw_blocks(0, quotas, 0.2, periodic=True, density=np.linspace(1, 2, 729).reshape(9, 9, 9))
 
 
 def test_the_same_density_everywhere_throws_pores_of_the_same_quotas_and_spacing():

@@ -152,8 +152,8 @@ class WriteSl1(PrinterWriter):
             )  # fmt: skip
             for width, height in THUMBNAILS:
                 picture = thumbnail(layers, width, height)
-            # with an opaque alpha channel, as the printer's own slicer writes it
-            opaque = np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)])
-            yield f"thumbnail/thumbnail{width}x{height}.png", png_of(opaque)
+                # with an opaque alpha channel, as the printer's own slicer writes it
+                opaque = np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)])
+                yield f"thumbnail/thumbnail{width}x{height}.png", png_of(opaque)
 
         write_archive(target, entries())
