@@ -43,17 +43,22 @@ SMALL: dict[str, tuple[list[str], list[str]]] = {
     ),
     "table_mesh_free": (
         ["cells=[3, 2, 2]"],
-        ["slice.field.resolution=8", "tileset.wang_3color.resolution=12", "tileset.wang_3color.tolerance=0.05"],
+        ["slice.field.resolution=8", "slice.field.islands=remove", "tileset.wang_3color.resolution=12",
+         "tileset.wang_3color.tolerance=0.05"],
     ),
     "scattered": (
         [],
         ["tile.scattered.cells=[2, 2, 1]", "tile.scattered.resolution=12", "check.connectivity.resolution=20",
-         "slice.field.pixel=0.5 mm", "extract.marching_cubes.resolution=10", "write.picture.resolution=8",
+         "slice.field.pixel=0.5 mm", "slice.field.islands=remove", "extract.marching_cubes.resolution=10",
+         "extract.marching_cubes.islands=remove", "write.picture.resolution=8",
          "write.picture.image_size=[200, 150]"],
     ),
     "porosity_map": (["pores=40"], ["check.porosity.resolution=16"]),
     "stiffness_map": ([], ["homogenize.voxel.resolution=12", "check.connectivity.resolution=12"]),
-    "printer": ([], ["read.primitive.size=[12 mm, 12 mm, 0.5 mm]", "tile.scattered.resolution=16"]),
+    "printer": (
+        [],
+        ["read.primitive.size=[12 mm, 12 mm, 0.5 mm]", "tile.scattered.resolution=16", "slice.field.islands=remove"],
+    ),
     "walls": (
         ["pores=40"],
         ["walls.resolution=32", "walls.tolerance=0.005", "phases.resolution=40", "check.sizes.resolution=24",

@@ -322,8 +322,13 @@ def ends(option) -> list[str]:
 
 
 LARGE = {(stage, option) for stage in ("slice.field", "slice.mesh") for option in ("pixel", "layer")}
-LARGE |= {("crush.voxel", "rate"), ("tune.plateau", "rate")}
-"""Options whose lower ends ask for a great deal of honest work."""
+LARGE |= {
+    ("crush.voxel", "rate"),
+    ("tune.plateau", "rate"),
+    ("optimize.density", "cell"),
+    ("optimize.density", "filter"),
+}
+"""Options one end of which asks for a great deal of honest work."""
 
 
 LONGEST = 300
