@@ -57,7 +57,7 @@ SMALL: dict[str, tuple[list[str], list[str]]] = {
     "stiffness_map": ([], ["homogenize.voxel.resolution=12", "check.connectivity.resolution=12"]),
     "printer": (
         [],
-        ["read.primitive.size=[12 mm, 12 mm, 0.5 mm]", "tile.scattered.resolution=16", "slice.field.islands=remove"],
+        ["read.primitive.size=[12 mm, 12 mm, 0.5 mm]", "tile.scattered.resolution=16", "fill.implicit.islands=remove"],
     ),
     "walls": (
         ["pores=40"],
