@@ -120,7 +120,7 @@ def tessellated(
     elif len(found) > options["most"]:
         raise InputError(
             f"{name} is an assembly of {len(found)} bodies; at most {options['most']} are taken together",
-            hint=f"choose by `bodies`, or raise `most_bodies`; it has {', '.join(known[:8])[:200]} ...",
+            hint=f"choose by `bodies`, or raise `max_bodies`; it has {', '.join(known[:8])[:200]} ...",
         )
     notify("triangles")
     made = [_triangles(body.shape, options["chord"], options["angle"]) for body in found]

@@ -50,7 +50,7 @@ class ReadCad(Stage):
         20.0, help="largest angle between neighboring triangles of a face", unit="degrees", minimum=1, maximum=60
     )
     bodies: tuple[str, ...] = option((), help="names or numbers, from 1, of the bodies to take; all if omitted")
-    most_bodies: int = option(
+    max_bodies: int = option(
         100, help="bodies that are taken without being named; an assembly has more of them", minimum=1, maximum=100_000
     )
     unit: str | None = options.unit(None, note="what the file states if omitted")
@@ -77,7 +77,7 @@ class ReadCad(Stage):
             "sppm_cad.child:tessellated",
             {"data": data},
             {
-                "name": self.path.name, "iges": iges, "bodies": list(self.bodies), "most": self.most_bodies,
+                "name": self.path.name, "iges": iges, "bodies": list(self.bodies), "most": self.max_bodies,
                 "chord": self.chord.mm() / self.scale, "angle": math.radians(self.angle),
             },
             returns={

@@ -17,6 +17,9 @@ _REST_POWER = 1.5
 """Power of the voxel by which that error falls. Less than 2, as stress is singular at sharp edges; with 2, bars of
 smooth sheets many voxels thick are too short."""
 
+_RELIABLE = 0.15
+"""Relative error bar above which there is a warning (heuristic): walls of two voxels have 0.13."""
+
 _INDEFINITE = 1e-4
 """Negative eigenvalues of an extrapolated stiffness, over its norm, that are the solver's error."""
 
@@ -50,6 +53,16 @@ def second_order(spacings: list[float], values: list[F64]) -> F64:
 def rest_of(thickness: float, contrast: float = 1.0) -> float:
     """Relative error that extrapolation may leave, where walls and struts have this mean thickness in voxels."""
     return float(_REST * contrast / thickness**_REST_POWER)
+
+
+def doubt(error: float, what: str, thickness: float) -> str:
+    """A warning of an error bar too long to rely on, relative, of walls and struts so many voxels thick; else empty."""
+    if error <= _RELIABLE:
+        return ""
+    return (
+        f"the error bar is {error:.0%} of the {what}, as walls and struts are {thickness:.2g} voxels thick in the "
+        "mean: raise `resolution`"
+    )
 
 
 def limit_of_compliance(spacings: list[float], values: list[float], thickness: float) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from sppm_pipeline.method.nouns.conditions import LoadCases
 from sppm_pipeline.method.nouns.maps import Grading
 from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.services.arrays import F64
-from sppm_pipeline.services.elastic.refinement import limit_of_compliance, mean_thickness
+from sppm_pipeline.services.elastic.refinement import doubt, limit_of_compliance, mean_thickness
 from sppm_pipeline.services.elastic.voigt import lame
 from sppm_pipeline.stage import Context, Headline, Recipe, option
 
@@ -28,9 +28,6 @@ VOXEL_BYTES = 80
 
 COARSEST = 8
 """Voxels along an edge of the cell from which on a grid half as fine makes sense (heuristic; error bars tell)."""
-
-RELIABLE = 0.15
-"""Error bar above which there is a warning (heuristic): walls of two voxels have 0.13."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,11 +145,8 @@ class SimulatePart(LoadedPart):
                     limits[key], bar = limit_of_compliance(spacings, [one[key], coarse.cases[name][key]], thickness)
                     bars.append(bar)
             numbers[name] = {**one, **limits}
-        if max(bars) > RELIABLE:
-            context.warn(
-                f"the error bar is {max(bars):.0%} of the compliance, as walls and struts are {thickness:.2g} voxels "
-                "thick in the mean: raise `resolution`"
-            )
+        if warning := doubt(max(bars), "compliance", thickness):
+            context.warn(warning)
         return replace(
             fine, cases=numbers, error=max(bars), deflection=max(one["deflection"] for one in numbers.values()),
             compliance=sum(case.weight * numbers[case.name]["compliance"] for case in cases.cases),

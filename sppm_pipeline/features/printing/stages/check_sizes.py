@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from sppm_pipeline.features.printing.print_report import Measure, parse_rule
 from sppm_pipeline.services.arrays import F32, U8
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.stage import Context, Headline, Rejected, Stage, option
-
-if TYPE_CHECKING:
-    pass
 
 MEASURES = {
     "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than the machine makes it"),

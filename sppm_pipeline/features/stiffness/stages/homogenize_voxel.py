@@ -13,7 +13,7 @@ from sppm_pipeline.method.families.homogenizer import LOCKING, SidedHomogenizer,
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.porosity.fractions import solid_fractions, stiff_share
 from sppm_pipeline.services.arrays import F64
-from sppm_pipeline.services.elastic.refinement import Limit, limit_of_grids, mean_thickness, second_order
+from sppm_pipeline.services.elastic.refinement import Limit, doubt, limit_of_grids, mean_thickness, second_order
 from sppm_pipeline.services.multigrid.transfer import coarsened
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ precision loses the shear modulus beside the bulk modulus."""
 
 _COARSEST = 4
 """Voxels along an edge from which on a coarser grid makes sense at all (heuristic; error bars tell the rest)."""
-
-_RELIABLE = 0.15
-"""Error bar, over the stiffness, above which there is a warning (heuristic): walls of two voxels have 0.13."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,11 +187,8 @@ class ElasticHomogenizer(ElasticCell):
                 "these grids are too coarse to extrapolate; the stiffness is that of the finest, with an error bar of "
                 f"{error:.0%}: raise `resolution`"
             )
-        elif error > _RELIABLE:
-            context.warn(
-                f"the error bar is {error:.0%} of the stiffness, as walls and struts are {thickness:.2g} voxels thick "
-                "in the mean: raise `resolution`"
-            )
+        elif warning := doubt(error, "stiffness", thickness):
+            context.warn(warning)
 
     def _coarser_image(self, source: ScalarField | Voxels, cell: VoxelCell) -> VoxelCell | None:
         """The image of half as many voxels, where solid fractions can be averaged."""
