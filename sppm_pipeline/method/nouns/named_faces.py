@@ -35,7 +35,7 @@ _FACE = re.compile(
 )
 _TERM = re.compile(
     r"\s*(?:(?:#|face\s+)(?P<number>\d+)\b|(?P<hole>holes?)\b|(?P<kind>plane|cylinder|cone|sphere|torus|freeform)s?\b"
-    r"|d\s*(?P<how><=|>=|<|>|=)\s*(?P<d>[\d.]+)\s*(?P<unit>[a-zµ]*)"
+    r"|d\s*(?P<how><=|>=|<|>|=)\s*(?P<d>\d+\.?\d*|\.\d+)(?![\d.])\s*(?P<unit>[a-zµ]*)"
     r"|color\s+(?P<color>#[0-9a-f]{6}|[a-z]+)|body\s+(?P<body>.+?)(?=\s+name\s|$)|name\s+(?P<name>.+)$)"
 )
 _EQUAL = 1e-4  # of diameters, as a fraction: they are written with six digits

@@ -59,7 +59,20 @@ def test_texts_are_joined():
 
 @pytest.mark.parametrize(
     "text",
-    ["#5", "#", "flange", "color rot", "cylinder d<3mm", "d<6 furlong", "holes and planes", "", "torus", "body arm"],
+    [
+        "#5",
+        "#",
+        "flange",
+        "color rot",
+        "cylinder d<3mm",
+        "d<6 furlong",
+        "d<1.2.3",
+        "d<.",
+        "holes and planes",
+        "",
+        "torus",
+        "body arm",
+    ],
 )
 def test_what_is_not_there_is_named(text):
     with pytest.raises(InputError, match="has no group"):
