@@ -3,16 +3,20 @@
     python -m benchmarks.independent FILE.csv [VOXELS]
 
 The same images of whole voxels go to each code that is installed (`pip install muGrid scikit-fem porespy`): muGrid
-(FFT, stiffness), scikit-fem (an assembled matrix and a direct solver, stiffness and conductivity), PoreSpy (porosity,
-local thickness of the void). Images are cells of the presets `paper` and `stiff`, VOXELS (16) along an edge. The
-largest differences are printed.
+(FFT, stiffness), scikit-fem (an assembled matrix and a direct solver, stiffness and conductivity), CalculiX (`ccx`, the
+same bricks, stiffness), PoreSpy (porosity, local thickness of the void). Images are cells of the presets `paper` and
+`stiff`, VOXELS (16) along an edge. The largest differences are printed. `tests/features/flow/test_write_network.py`
+compares the flow of a network with OpenPNM where that is installed.
 """
 
 from __future__ import annotations
 
 import csv
-import importlib
+import importlib.util
+import shutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -120,20 +124,88 @@ def by_scikit_fem(solid: NDArray[np.bool_]) -> Values:
     }
 
 
+def by_calculix(solid: NDArray[np.bool_]) -> Values:
+    """Diagonal of the stiffness: C3D8 bricks, opposite faces tied by equations to three nodes that carry the strain."""
+    n = len(solid)
+    # loose pieces would make the matrix singular; without them the solid has the same stiffness
+    z, y, x = np.nonzero(largest_piece(solid))
+    around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    corners = np.stack([x, y, z], axis=1)[:, None] + around
+    places, node = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    node, count = node.reshape(-1, 8) + 1, len(places)
+    number = {tuple(place): k for k, place in enumerate(places.tolist(), 1)}
+    lines = ["*NODE, NSET=ALL", *(f"{k}, {a}., {b}., {c}." for k, (a, b, c) in enumerate(places.tolist(), 1))]
+    lines += [f"{count + axis}, 0., 0., {-axis}." for axis in (1, 2, 3)]
+    chosen: dict[tuple[int, ...], tuple[tuple[int, ...], int]] = {}  # the first node of those that are one in the cell
+    ties: list[str] = []
+    for place, k in number.items():
+        low = tuple(a % n for a in place)
+        first = chosen.setdefault(low, (place, k))
+        if first[1] == k:
+            continue
+        shift = [(a - b) // n for a, b in zip(place, first[0], strict=True)]
+        for part in (1, 2, 3):
+            terms = [(k, part, 1.0), (first[1], part, -1.0)]
+            terms += [(count + axis, part, -float(s)) for axis, s in enumerate(shift, 1) if s]
+            ties += ["*EQUATION", str(len(terms)), ", ".join(f"{a}, {b}, {c}" for a, b, c in terms)]
+    lines += ["*ELEMENT, TYPE=C3D8, ELSET=SOLID"]
+    lines += [f"{k}, " + ", ".join(map(str, row)) for k, row in enumerate(node.tolist(), 1)]
+    lines += ties
+    lines += ["*MATERIAL, NAME=M", "*ELASTIC", "1., 0.3", "*SOLID SECTION, ELSET=SOLID, MATERIAL=M"]
+    lines += ["*BOUNDARY", "1, 1, 3"]  # the first node is not tied to others
+    for i, j in VOIGT:
+        strain = np.zeros((3, 3))
+        strain[i, j] += 0.5
+        strain[j, i] += 0.5
+        lines += ["*STEP", "*STATIC", "*BOUNDARY"]
+        lines += [f"{count + a + 1}, {b + 1}, {b + 1}, {n * strain[b, a]}" for a in range(3) for b in range(3)]
+        lines += ["*EL PRINT, ELSET=SOLID, TOTALS=ONLY", "ELSE", "*END STEP"]
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "cell.inp").write_text("\n".join(lines) + "\n", encoding="ascii")
+        subprocess.run(["ccx", "cell"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        text = Path(folder, "cell.dat").read_text(encoding="ascii")
+    energies = [float(words[0]) for line in text.splitlines() if len(words := line.split()) == 1]
+    return named("C", [2 * energy / n**3 for energy in energies])
+
+
+def largest_piece(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest piece of the solid of a cell that repeats, of voxels that share a face, an edge or a corner."""
+    from scipy import ndimage
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    labels, count = ndimage.label(np.pad(solid, 1, mode="wrap"), np.ones((3, 3, 3)))
+    inner = labels[1:-1, 1:-1, 1:-1]
+    wrapped = np.pad(inner, 1, mode="wrap")
+    both = (labels > 0) & (wrapped > 0)
+    pairs = coo_matrix((np.ones(both.sum()), (labels[both], wrapped[both])), (count + 1, count + 1))
+    piece = connected_components(pairs, directed=False)[1][inner]
+    sizes = np.bincount(piece[solid])
+    return solid & (piece == sizes.argmax())
+
+
 def by_porespy(solid: NDArray[np.bool_]) -> Values:
-    """Porosity, and mean local thickness of the void, which repeats."""
+    """Porosity, and mean local thickness of the void, which repeats; radii there end at centers of solid voxels."""
     import porespy
 
     n = len(solid)
     void = np.tile(~solid, (3, 3, 3))  # its spheres see no other side
-    thick = 2 * porespy.filters.local_thickness(void, sizes=np.arange(0.5, n / 2, 0.25)[::-1])
+    thick = 2 * porespy.filters.local_thickness(void, method="dt")
     middle = thick[n : 2 * n, n : 2 * n, n : 2 * n]
     return {"porosity": porespy.metrics.porosity(~solid), "thickness": float(middle[~solid].mean())}
 
 
 CODES: tuple[tuple[str, str, Callable[[NDArray[np.bool_]], Values]], ...] = (
     ("muGrid", "muGrid", by_mugrid), ("scikit-fem", "skfem", by_scikit_fem), ("porespy", "porespy", by_porespy),
+    ("CalculiX", "ccx", by_calculix),
 )  # fmt: skip
+
+
+def version_of(name: str) -> str:
+    """Version of a Python package, or of CalculiX."""
+    if name != "CalculiX":
+        return version(name)
+    return subprocess.run(["ccx", "-v"], capture_output=True, text=True, check=False).stdout.split()[-1]
 
 
 def rows(n: int) -> Iterator[dict[str, Any]]:
@@ -143,14 +215,12 @@ def rows(n: int) -> Iterator[dict[str, Any]]:
         solid = np.ascontiguousarray(field.voxels(n).values.T > 0)
         own = ours(solid)
         for name, module, compute in CODES:
-            try:
-                importlib.import_module(module)
-            except ImportError:
+            if not (shutil.which(module) or importlib.util.find_spec(module)):
                 continue
             for quantity, value in compute(solid).items():
                 yield {
                     "cell": f"{preset} {porosity} seed {seed}", "voxels": n, "quantity": quantity,
-                    "here": own[quantity], "code": name, "version": version(name), "there": value,
+                    "here": own[quantity], "code": name, "version": version_of(name), "there": value,
                     "difference": own[quantity] / value - 1 if value else own[quantity],
                 }  # fmt: skip
 
