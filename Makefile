@@ -21,7 +21,7 @@ test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows;
 	$(PYTHON) -m venv $(VENV)-oldest
 	$(VENV)-oldest/bin/pip install --quiet --constraint tests/oldest.txt --editable ".[test,images,volume]" \
 		$(foreach plugin,$(wildcard plugins/*/pyproject.toml),--editable $(dir $(plugin)))
-	$(VENV)-oldest/bin/python -m pytest -n auto --dist loadfile tests
+	$(VENV)-oldest/bin/python -m pytest -n auto --dist loadfile
 
 docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documentation in build/site; warnings are errors
 	$(BIN)/python docs/generate_gallery.py --reports build/site/gallery/reports
@@ -48,7 +48,7 @@ $(VENV)/.installed-tests: pyproject.toml $(wildcard plugins/*/pyproject.toml)
 
 $(VENV)/.installed-docs: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable ".[docs,plot]" --editable plugins/sppm-structures
+	$(BIN)/pip install --quiet --editable ".[docs,plot]" --editable plugins/sppm-structures --editable plugins/sppm-crushing
 	touch $(VENV)/.installed $@
 
 clean:

@@ -3,7 +3,8 @@
     python -m benchmarks.calculix curve FOLDER [SPLIT]  # one cell of 16 voxels to 25 %, each split in SPLIT^3 bricks
     python -m benchmarks.calculix bricks FOLDER         # work to bend a brick that flows, by four kinds of element
 
-Needs ccx (calculix-ccx). `tests/numerics/crushing/test_calculix.py` holds the first curve, and repeats its beginning.
+Needs ccx (calculix-ccx). `plugins/sppm-crushing/tests/test_calculix.py` holds the first curve, and repeats its
+beginning.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from sppm_crushing.numerics import element
+from sppm_crushing.numerics.body import Body, body_of
+from sppm_crushing.numerics.march import Load, March
+from sppm_crushing.numerics.material import constants
 
 from benchmarks.crushing import SOLID, gyroid
-from sppm_pipeline.features.crushing.numerics import element
-from sppm_pipeline.features.crushing.numerics.body import Body, body_of
-from sppm_pipeline.features.crushing.numerics.march import Load, March
-from sppm_pipeline.features.crushing.numerics.material import constants
 
 STRAINS = np.array([0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.125, 0.15, 0.175, 0.2, 0.22, 0.24])
 

@@ -16,10 +16,9 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
-
-from sppm_pipeline.features.crushing.numerics.body import body_of
-from sppm_pipeline.features.crushing.numerics.march import Load, March
-from sppm_pipeline.features.crushing.numerics.material import Material
+from sppm_crushing.numerics.body import body_of
+from sppm_crushing.numerics.march import Load, March
+from sppm_crushing.numerics.material import Material
 
 SOLID = Material(1.0, 0.35, ((0.0, 0.02), (1.0, 0.03)))
 

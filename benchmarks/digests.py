@@ -63,8 +63,8 @@ class Small(NamedTuple):
     """Changes with which a configuration is run at a low resolution.
 
     `params` and `options` are as after ``-p`` and ``-s`` of ``sppm run``; ``{folder}`` stands for the folder of the
-    run. `sweep` replaces that of the configuration, if not empty. `plugins` are needed: sppm-structures, or a file of
-    its own.
+    run. `sweep` replaces that of the configuration, if not empty. `plugins` are needed: sppm-structures, sppm-crushing,
+    or a file of its own.
     """
 
     params: tuple[str, ...] = ()
@@ -106,12 +106,14 @@ CONFIGS: Mapping[str, Small] = {
     ),
     "crush_animation": _small(
         options="""tune.porosity.resolution=24; tile.periodic.cells=[1, 1, 1]; crush.resolution=10; crush.rate=0.05;
-        write.frames.image_size=[60, 50]"""
+        write.frames.image_size=[60, 50]""",
+        plugins=True,
     ),
     "crush_density": _small(
         "resolution=10; rate=0.05",
         "tune.porosity.resolution=24; tile.periodic.cells=[1, 1, 1]",
         "{porosity: [0.5, 0.8], pores: [20]}",
+        plugins=True,
     ),
     "crush_structures": _small(
         "resolution=10; cells=[1, 1, 1]; rate=0.04",
@@ -229,7 +231,7 @@ EXAMPLES: Mapping[str, Small] = {
         uniform_tested.resolution=8; slice.field.layer=0.1 mm;
         tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
     ),
-    "crush": _small("", "tune.porosity.resolution=24; crush.voxel.resolution=10; crush.voxel.rate=0.05"),
+    "crush": _small("", "tune.porosity.resolution=24; crush.voxel.resolution=10; crush.voxel.rate=0.05", plugins=True),
     "elbow": _small("", f"tune.local_porosity.resolution=20; {_VIEW}"),
     "finer_pores": _small("", f"tile.scattered.resolution=10; {_VIEW}"),
     "flow": _small("", "homogenize.permeability.resolution=16"),

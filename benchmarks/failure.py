@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sppm_crushing.numerics.body import body_of
+from sppm_crushing.numerics.failing_march import FailingMarch
+from sppm_crushing.numerics.march import Load
+from sppm_crushing.numerics.material import Material
+from sppm_crushing.stages.crush_voxel import CrushVoxel
 
 import sppm_pipeline as sppm
-from sppm_pipeline.features.crushing.numerics.body import body_of
-from sppm_pipeline.features.crushing.numerics.failing_march import FailingMarch
-from sppm_pipeline.features.crushing.numerics.march import Load
-from sppm_pipeline.features.crushing.numerics.material import Material
-from sppm_pipeline.features.crushing.stages.crush_voxel import CrushVoxel
 from sppm_pipeline.features.stiffness.stages.measure_onset import MeasureOnset
 from sppm_pipeline.testing.plain_context import PlainContext
 

@@ -31,6 +31,8 @@ from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"
+PLUGINS = ("sppm-crushing",)
+"""Distributions in ``plugins/`` whose stages have pages, too."""
 BY_HAND = ("yaml.md", "python.md", "python-examples.md")
 # fmt: off
 PARTS = (
@@ -45,7 +47,7 @@ NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the cod
 
 def pages() -> dict[str, str]:
     """Text of every generated page by its path below ``docs/reference``."""
-    registry = Registry(load_plugins(distributions=False))
+    registry = Registry(load_plugins(allowed=PLUGINS))
     result = {"README.md": index_page(registry), "cli.md": cli_page()}
     for name in registry:
         result[f"{name.replace('.', '/', 1)}.md"] = stage_page(registry.get(name), registry)
@@ -123,6 +125,9 @@ def stage_page(cls: type[Stage], registry: Registry) -> str:
     else:
         lines.append("It has none.")
     source = f"{cls.__module__.replace('.', '/')}.py"
+    if plugin := registry.owner(cls.name).distribution:
+        source = f"plugins/{plugin}/{source}"
+        lines += ["", f"It is part of the plugin [{plugin}](../../../plugins/{plugin}/README.md)."]
     lines += ["", f"Source: [`{source}`](../../../{source}). [All stages](../README.md)"]
     return "\n".join(lines) + "\n"
 
@@ -133,7 +138,8 @@ def data_types(registry: Registry) -> dict[str, type]:
     for name in registry:
         signature = signature_of(registry.get(name))
         used.update(signature.makes, *(port.types for port in signature.ports if not port.is_recipe))
-    faces = (sppm_pipeline, sppm_pipeline.nouns, sppm_pipeline.numerics)
+    plugins = [import_module(name.replace("-", "_")) for name in PLUGINS]
+    faces = (sppm_pipeline, sppm_pipeline.nouns, sppm_pipeline.numerics, *plugins)
     public = {name: getattr(face, name) for face in reversed(faces) for name in face.__all__}
     names = {cls.__name__ for cls in used} & set(public)
     return {name: public[name] for name in sorted(names | set(PARTS), key=str.lower)}

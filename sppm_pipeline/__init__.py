@@ -88,10 +88,14 @@ def lazily(face: str, file: str) -> tuple[list[str], Callable[[str], Any], Calla
 
 
 def _hint(name: str, names: list[str]) -> str:
-    """Hint: the face that has a name, or a name that is nearly the same."""
+    """Hint: the face or the plugin of ours that has a name, or a name that is nearly the same."""
     from difflib import get_close_matches
     from importlib import import_module
 
+    built_in = import_module("sppm_pipeline.built_in")
+    if name in built_in.TYPES:
+        module = built_in.TYPES[name]
+        return f"; it is {module}.{name}, of a plugin: {built_in.install_words(module.replace('_', '-'))}"
     for other in _SUBFACES:
         if name in getattr(import_module(f"sppm_pipeline.{other}"), "__all__", ()):
             return f"; it is sppm_pipeline.{other}.{name}"

@@ -1,4 +1,8 @@
-"""Where built-in stages, executors and verbs come from: features are found by looking which folders there are."""
+"""Where built-in stages, executors and verbs come from: features are found by looking which folders there are.
+
+And which stages the project's own plugins supply, so that whoever asks for one without its plugin is told what to
+install.
+"""
 
 from __future__ import annotations
 
@@ -33,3 +37,32 @@ def stage_class(name: str) -> Any:
             found = vars(import_module(place)).values()
             return next(cls for cls in found if isinstance(cls, type) and vars(cls).get("name") == name)
     raise LookupError(f"no built-in stage is called {name!r}")
+
+
+PLUGINS = {
+    "sppm-cad": ("read.cad",),
+    "sppm-crushing": (
+        "crush.voxel", "measure.compression", "read.compression", "tune.plateau", "write.curves", "write.frames",
+    ),
+    "sppm-even-tiles": ("tile.even_interiors",),
+    "sppm-lattice-points": ("sample.lattice_points",),
+    "sppm-lib3mf": ("write.3mf_slices",),
+    "sppm-pymeshlab": ("mesh.decimate", "mesh.remesh", "mesh.repair", "mesh.smooth"),
+    "sppm-structures": (
+        "field.elastic_texture", "field.organic", "field.spinodoid", "field.stochastic_gyroid", "field.struts",
+        "field.tpms", "field.voronoi_foam",
+    ),
+    "sppm-tetwild": ("mesh.tetwild",),
+}  # fmt: skip
+"""Stages of the distributions in the folder ``plugins`` of the repository, by distribution."""
+
+PLUGIN_OF = {stage: distribution for distribution, stages in PLUGINS.items() for stage in stages}
+"""The distribution of each of these stages."""
+
+TYPES = {"CompressionCurve": "sppm_crushing", "CrushedBody": "sppm_crushing"}
+"""The module that has a type which these stages pass on."""
+
+
+def install_words(distribution: str) -> str:
+    """How one of the distributions in `PLUGINS` is installed."""
+    return f"`pip install {distribution}`, or `pip install ./plugins/{distribution}` in a clone"

@@ -97,7 +97,12 @@ class ConfigErrors(ConfigError):
         self.errors = tuple(errors)
 
     def __str__(self) -> str:
-        return "\n".join(str(error) for error in self.errors)
+        # a hint that several errors in a row share stands below the last of them
+        following = [error.hint for error in self.errors[1:]]
+        return "\n".join(
+            str(error).removesuffix(f"\n  hint: {error.hint}") if error.hint == then else str(error)
+            for error, then in zip(self.errors, [*following, None], strict=True)
+        )
 
 
 class WiringError(ConfigError):

@@ -1,17 +1,25 @@
-"""The built-in stages and their former names, as the program itself finds them."""
+"""The built-in stages and their former names, and the stages that have reference pages, as the program finds them."""
 
 from __future__ import annotations
 
 from sppm_pipeline.built_in import BUILTINS
-from sppm_pipeline.built_in import stage_class as stage_class
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
 
-_PLUGINS = load_plugins(BUILTINS, distributions=False)
+DOCUMENTED = ("sppm-crushing",)
+"""Plugins whose stages are treated as built-in ones are: they have reference pages, and meet the same tests."""
+
+_PLUGINS = load_plugins(BUILTINS, allowed=DOCUMENTED)
 _PLUGINS.raise_broken()
 
 PLACES = {name: str(place) for plugin in _PLUGINS.plugins for name, place in plugin.stages.items()}
-"""Stage name -> "module:Class"."""
+"""Stage name -> "module:Class" of all that have reference pages."""
 
-BUILT_IN = tuple(PLACES)
+STAGES = tuple(PLACES)
+
+BUILT_IN = tuple(name for plugin in _PLUGINS.plugins if plugin.builtin for name in plugin.stages)
 
 STAGE_ALIASES = {former: alias for plugin in _PLUGINS.plugins for former, alias in plugin.aliases.items()}
+
+stage_class = Registry(_PLUGINS).get
+"""The class of a stage by its name."""

@@ -7,7 +7,7 @@ import pytest
 import sppm_pipeline
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.contracts import StageContract
-from tests.built_in import BUILT_IN, stage_class
+from tests.built_in import BUILT_IN, STAGES, stage_class
 
 REQUIRED = {
     "read.mesh": {"path": "a.stl"},
@@ -45,7 +45,7 @@ REQUIRED = {
 }
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", STAGES)
 def test_names_files_docs_and_ports(name):
     cls = stage_class(name)
     assert cls.name == name

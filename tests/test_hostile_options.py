@@ -1,4 +1,4 @@
-"""Every option of every built-in stage against values that mean harm: refused at its place, or a valid result.
+"""Every option of every stage with a page against values that mean harm: refused at its place, or a valid result.
 
 Each stage stands in a small pipeline of its own. A value must either be refused before any work, with the option, the
 value, what is allowed and the line; or it is accepted, and then the pipeline must end well, or with an error that the
@@ -20,7 +20,7 @@ from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
 from sppm_pipeline.nouns.length import Length
-from tests.built_in import BUILT_IN, stage_class
+from tests.built_in import DOCUMENTED, STAGES, stage_class
 
 RECIPE = """  cell:
     - {stage: sample.mirrored_faces, count: 6, spacing: 0.25}
@@ -218,7 +218,7 @@ HARMLESS = {"title", "description", "x_label", "y_label", "x", "y"}
 
 
 def all_options():
-    return [(name, option) for name in BUILT_IN for option in options_of(stage_class(name)).values()]
+    return [(name, option) for name in STAGES for option in options_of(stage_class(name)).values()]
 
 
 def members(kind):
@@ -229,7 +229,7 @@ def members(kind):
     return [kind]
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", STAGES)
 def test_every_number_has_two_ends(name):
     for option in options_of(stage_class(name)).values():
         if {int, float, Length} & set(members(option.kind)):
@@ -239,7 +239,7 @@ def test_every_number_has_two_ends(name):
 
 
 def test_every_stage_is_tested():
-    assert set(PLACES) | NO_PIPELINE >= set(BUILT_IN)
+    assert set(PLACES) | NO_PIPELINE >= set(STAGES)
 
 
 def document(name: str, option: str, value: str) -> tuple[str, int]:
@@ -264,7 +264,7 @@ def _split(given: str) -> list[str]:
 
 
 def plan_of(path: Path):
-    return open_session(RunRequest(str(path), distributions=False)).plan()
+    return open_session(RunRequest(str(path), allowed=DOCUMENTED)).plan()
 
 
 @pytest.mark.parametrize("name", PLACES)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.built_in import BUILT_IN, stage_class
+from tests.built_in import STAGES, stage_class
 
 ROOT = Path(__file__).resolve().parents[1]
 FOR_ALL = {"numpy", "numba", "llvmlite", "scipy", "PIL"}
@@ -23,7 +23,9 @@ STANDARD = __import__("sys").stdlib_module_names
 
 @functools.cache
 def tree_of(module: str) -> ast.Module | None:
-    path = ROOT.joinpath(*module.split("."))
+    distribution = module.partition(".")[0].replace("_", "-")  # of a plugin, if it is not the program
+    folder = ROOT if distribution == "sppm-pipeline" else ROOT / "plugins" / distribution
+    path = folder.joinpath(*module.split("."))
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     return ast.parse(file.read_text(encoding="utf-8")) if file.is_file() else None
 
@@ -76,7 +78,7 @@ def libraries_of(module: str) -> set[str]:
         for name in imports(waiting.pop()):
             if name.startswith("sppm_pipeline.engine"):
                 continue
-            if name.startswith("sppm_pipeline"):
+            if name.startswith("sppm_"):
                 if name not in seen:
                     seen.add(name)
                     waiting.append(name)
@@ -85,7 +87,7 @@ def libraries_of(module: str) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", STAGES)
 def test_libraries_are_declared(name):
     cls = stage_class(name)
     found = libraries_of(cls.__module__) - NOT_USED.get(name, set())

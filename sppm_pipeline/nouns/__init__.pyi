@@ -3,8 +3,6 @@ from sppm_pipeline.engine.api.bound_stage import BoundStage as BoundStage
 from sppm_pipeline.engine.process import ArraySpec as ArraySpec
 from sppm_pipeline.engine.process import NativeResult as NativeResult
 from sppm_pipeline.engine.process.interruption import Stop as Stop
-from sppm_pipeline.features.crushing.compression import CompressionCurve as CompressionCurve
-from sppm_pipeline.features.crushing.compression import CrushedBody as CrushedBody
 from sppm_pipeline.features.design.atlas import FoundDesign as FoundDesign
 from sppm_pipeline.features.flow.acoustics import AcousticReport as AcousticReport
 from sppm_pipeline.features.flow.acoustics import PoreParameters as PoreParameters

@@ -1,4 +1,4 @@
-"""Each feature of the package has a page, which names its folders and links to each of its stages."""
+"""Each feature, of the package or of a plugin that is one, has a page, which names its folders and links its stages."""
 
 from __future__ import annotations
 
@@ -6,25 +6,33 @@ from pathlib import Path
 
 import pytest
 
-from tests.built_in import PLACES
+from tests.built_in import DOCUMENTED, PLACES
 from tests.docs.conftest import ROOT
 
-FEATURES = sorted(path.parent.name for path in (ROOT / "sppm_pipeline" / "features").glob("*/__init__.py"))
+FOLDERS = {
+    path.parent.name: (f"sppm_pipeline/features/{path.parent.name}/", f"tests/features/{path.parent.name}/")
+    for path in (ROOT / "sppm_pipeline" / "features").glob("*/__init__.py")
+} | {
+    name.removeprefix("sppm-"): (f"plugins/{name}/{name.replace('-', '_')}/", f"plugins/{name}/tests/")
+    for name in DOCUMENTED
+}
+"""Code and tests of each feature."""
 
 
-@pytest.mark.parametrize("feature", FEATURES)
+@pytest.mark.parametrize("feature", FOLDERS)
 def test_the_page_of_a_feature_links_its_stages(feature: str) -> None:
     text = (ROOT / "docs" / "features" / f"{feature}.md").read_text(encoding="utf-8")
-    own = [name for name, place in PLACES.items() if place.startswith(f"sppm_pipeline.features.{feature}.")]
+    code = FOLDERS[feature][0].removeprefix(f"plugins/sppm-{feature}/").replace("/", ".")
+    own = [name for name, place in PLACES.items() if place.startswith(code)]
     assert own, "a feature without stages"
     assert [name for name in own if f"[`{name}`](../reference/{name.replace('.', '/')}.md)" not in text] == []
-    for folder in (f"sppm_pipeline/features/{feature}/", f"tests/features/{feature}/"):
+    for folder in FOLDERS[feature]:
         assert f"`{folder}`" in text
         assert (ROOT / folder).is_dir()
 
 
 def test_every_feature_is_in_the_index() -> None:
     pages = {path.stem for path in Path(ROOT, "docs", "features").glob("*.md")} - {"README"}
-    assert pages == set(FEATURES)
+    assert pages == set(FOLDERS)
     index = (ROOT / "docs" / "features" / "README.md").read_text(encoding="utf-8")
-    assert [name for name in FEATURES if f"]({name}.md)" not in index] == []
+    assert [name for name in FOLDERS if f"]({name}.md)" not in index] == []

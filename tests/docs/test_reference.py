@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.built_in import BUILT_IN, PLACES
+from tests.built_in import PLACES
 from tests.docs.conftest import script
 
 
@@ -26,11 +26,13 @@ def test_pages_are_up_to_date(generator: ModuleType, pages: dict[str, str]) -> N
 
 
 def test_every_stage_has_a_page_named_like_its_file(pages: dict[str, str], root: Path) -> None:
-    for name in BUILT_IN:
-        assert f"{name.replace('.', '/')}.md" in pages
-        module, _, _ = PLACES[name].partition(":")
+    for name, place in PLACES.items():
+        page = pages[f"{name.replace('.', '/')}.md"]
+        module, _, _ = place.partition(":")
         assert module.rpartition(".")[2] == name.replace(".", "_")
-        assert (root / f"{module.replace('.', '/')}.py").is_file()
+        source = page.partition("Source: [`")[2].partition("`")[0]
+        assert source.endswith(f"{module.replace('.', '/')}.py")
+        assert (root / source).is_file()
 
 
 def test_a_change_makes_a_page_stale(generator: ModuleType, tmp_path: Path) -> None:

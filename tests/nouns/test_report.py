@@ -4,9 +4,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from sppm_crushing import CompressionCurve, CrushedBody
 
 from sppm_pipeline.engine.strict_json import jsonable
-from sppm_pipeline.features.crushing.compression import CompressionCurve, CrushedBody
 from sppm_pipeline.features.flow.acoustics import AcousticReport
 from sppm_pipeline.features.flow.permeability import ConductivityReport, PermeabilityReport
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport

@@ -7,16 +7,26 @@ import os
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import sppm_pipeline as sppm
+from sppm_pipeline import built_in
+from sppm_pipeline.engine.api.functions import family_of, step_families
 from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.plan import installed
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
 
-PLUGINS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / "plugins").glob("*/pyproject.toml"))
+ROOT = Path(__file__).resolve().parents[2]
+PLUGINS = sorted(path.parent for path in (ROOT / "plugins").glob("*/pyproject.toml"))
+COLLECTED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+"""How the tests of this repository are run: those of large plugins among them, file by file."""
 STAGES = {
     "lattice_points": {"sample.lattice_points"},
     "even_tiles": {"tile.even_interiors"},
@@ -33,6 +43,14 @@ STAGES = {
     "tetwild": {"mesh.tetwild"},
     "lib3mf": {"write.3mf_slices"},
     "cad": {"read.cad"},
+    "crushing": {
+        "crush.voxel",
+        "measure.compression",
+        "read.compression",
+        "tune.plateau",
+        "write.curves",
+        "write.frames",
+    },
     "dask": set(),
 }
 LICENSES = {"sppm-pymeshlab": ("GPL-3.0-or-later", "GNU GENERAL PUBLIC LICENSE")}
@@ -43,8 +61,10 @@ LICENSES = {"sppm-pymeshlab": ("GPL-3.0-or-later", "GNU GENERAL PUBLIC LICENSE")
 def test_own_suite_passes(folder: Path) -> None:
     # a process of its own: the suite, with its own settings, is what somebody finds who gets this folder alone
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+    # a suite that is run file by file beside the others is only looked at
+    apart = ["--collect-only"] if f"plugins/{folder.name}/tests" in COLLECTED["testpaths"] else []
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *apart],
         cwd=folder,
         env=environment,
         capture_output=True,
@@ -61,12 +81,68 @@ def test_says_how_it_is_found_and_licensed(folder: Path) -> None:
     license, title = LICENSES.get(folder.name, ("BSD-3-Clause", "BSD 3-Clause License"))
     assert project["license"] == {"text": license}
     assert (folder / "LICENSE").read_text(encoding="utf-8").lstrip().startswith(title)
-    installed = {entry.name: entry.value for entry in entry_points(group="sppm")}
+    found = {entry.name: entry.value for entry in entry_points(group="sppm")}
     for name, module in project["entry-points"]["sppm"].items():
-        assert installed[name] == module, "install it: pip install -e plugins/*"
+        assert found[name] == module, "install it: pip install -e plugins/*"
     readme = (folder / "README.md").read_text(encoding="utf-8")
     for stage in set().union(*(STAGES[name] for name in project["entry-points"]["sppm"])):
         assert f"`{stage}`" in readme
+
+
+def test_the_program_knows_whose_a_stage_is() -> None:
+    owners = {f"sppm-{name.replace('_', '-')}": stages for name, stages in STAGES.items() if stages}
+    assert {name: set(stages) for name, stages in built_in.PLUGINS.items()} == owners
+    assert {import_module(module).__name__ for module in built_in.TYPES.values()} == {"sppm_crushing"}
+    assert set(built_in.TYPES) <= set(import_module("sppm_crushing").__all__)
+
+
+WITHOUT = "which is not installed: `pip install sppm-crushing`, or `pip install ./plugins/sppm-crushing` in a clone"
+
+
+@pytest.fixture
+def without_crushing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if sppm-crushing were not installed."""
+    everything = installed.entry_points
+    left = lambda group: [one for one in everything(group) if one.name != "crushing"]  # noqa: E731
+    monkeypatch.setattr(installed, "entry_points", left)
+
+
+@pytest.mark.parametrize(
+    "pipeline",
+    [
+        "crush.voxel",
+        "{stage: crush.voxel, id: a}, {stage: measure.compression, from: a}, {stage: write.curves, from: a}",
+        "{stage: read.compression, path: a.csv}",
+    ],
+)
+@pytest.mark.usefixtures("without_crushing")
+def test_a_stage_of_a_plugin_that_is_not_there_says_what_to_install(pipeline: str) -> None:
+    with pytest.raises(sppm.ConfigError) as caught:
+        open_session(RunRequest("a.yaml", text=f"sppm: 1\npipeline: [{pipeline}]\n")).plan()
+    lines = str(caught.value).splitlines()
+    assert all("there is no stage '" in line for line in lines[:-1])
+    # once, however many of its stages are used
+    assert lines[-1] == f"  hint: part of the plugin sppm-crushing, {WITHOUT}"
+
+
+def test_a_stage_of_a_plugin_that_is_switched_off_says_so() -> None:
+    for found, words in ({"distributions": False}, "--no-plugins"), ({"allowed": ["sppm-cad"]}, "--allow-plugins"):
+        with pytest.raises(sppm.ConfigError, match=f"part of the plugin sppm-crushing, which is .*{words}"):
+            Registry(load_plugins(**found)).get("crush.voxel")
+
+
+@pytest.mark.usefixtures("without_crushing")
+def test_python_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sppm_pipeline.engine.api.functions.registry", lambda: Registry(load_plugins()))
+    family_of.cache_clear()
+    for family in (family_of("crush"), step_families().crush):
+        assert not hasattr(family, "voxel")
+        with pytest.raises(sppm.ConfigError, match="there is no stage 'crush.voxel'") as caught:
+            family.voxel(resolution=8)
+        assert WITHOUT in str(caught.value)
+    family_of.cache_clear()
+    with pytest.raises(AttributeError, match=r"it is sppm_crushing.CrushedBody, .*`pip install sppm-crushing`"):
+        getattr(sppm.nouns, "CrushedBody")  # noqa: B009
 
 
 def test_the_program_lists_them(capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,6 +59,18 @@ def test_modules_import_the_public_face_only(path):
     assert internal_imports(text_of(path)) == []
 
 
+def test_numerics_of_plugins_know_nothing_of_pipelines_and_files():
+    """As `lint-imports` holds it inside the package."""
+    files = [*(ROOT / "plugins").glob("*/*/numerics/*.py")]
+    found = {
+        (path.name, name)
+        for path in files
+        for name in re.findall(r"^\s*(?:from|import)\s+(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert len(files) > 5
+    assert not [pair for pair in found if pair[1] in {"pluggy", "ruamel", "logging", "argparse", "pathlib"}]
+
+
 @pytest.mark.parametrize(
     "path",
     [*sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "docs").rglob("*.ipynb")), ROOT / "README.md"],

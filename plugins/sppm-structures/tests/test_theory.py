@@ -215,6 +215,7 @@ def test_stiffest_grid(tmp_path):
 
 
 def test_crush_structures(tmp_path):
+    pytest.importorskip("sppm_crushing")
     rows = run(
         "crush_structures.yaml", tmp_path, "{structure: [tpms_p, sppm_1]}",
         "-p", "resolution=10", "-p", "cells=[1, 1, 1]", "-p", "rate=0.04", "-s", "tune.porosity.resolution=24",

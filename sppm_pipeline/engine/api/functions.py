@@ -126,6 +126,10 @@ def _documentation(cls: type[Stage]) -> str:
     return "\n".join(lines)
 
 
+class NoStage(ConfigError, AttributeError):
+    """A family has no stage of a name; an `AttributeError`, too, as `hasattr` and completion expect."""
+
+
 class Family(types.ModuleType):
     """The stages of a family as functions; a module, so that help and completion know what to do with it."""
 
@@ -142,8 +146,7 @@ class Family(types.ModuleType):
                 # now, so that a misspelled stage is an AttributeError here and not an error of a later call
                 return make(f"{name}.{word}")
             except ConfigError as error:
-                # as `hasattr` and completion expect
-                raise AttributeError(str(error)) from None
+                raise NoStage(error.message, hint=error.hint) from None
 
         def names() -> list[str]:
             stages = registry().sound(name)

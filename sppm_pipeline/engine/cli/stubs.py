@@ -88,9 +88,10 @@ def stub_text(registry: Registry) -> str:
         if family == "check":
             check = "def __call__(self, config: Any, *, params: Mapping[str, Any] | None = None, "
             lines.append(f"    {check}set: Mapping[str, Any] | None = None) -> tuple[str, ...]: ...")
-    lines += ["", "class _Steps:", *(f"    {family}: _{family.title()}" for family in families), "", "step: _Steps"]
-    lines += [f"{family}: _{family.title()}" for family in families]
-    lines += [f"{family}: Any" for family in FAMILIES if family not in families]
+    # of a family that plugins alone fill, nothing is known here
+    kinds = {family: f"_{family.title()}" if family in families else "Any" for family in [*families, *FAMILIES]}
+    lines += ["", "class _Steps:", *(f"    {family}: {kind}" for family, kind in kinds.items()), "", "step: _Steps"]
+    lines += [f"{family}: {kind}" for family, kind in kinds.items()]
     return "\n".join(lines) + "\n"
 
 

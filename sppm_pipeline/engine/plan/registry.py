@@ -7,9 +7,18 @@ import dataclasses
 import inspect
 from collections.abc import Iterator
 
+from sppm_pipeline.built_in import PLUGIN_OF, install_words
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import listed, nearest, shown
-from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported, incomplete_stages, stage_classes
+from sppm_pipeline.engine.plan.installed import normal
+from sppm_pipeline.engine.plan.plugins import (
+    Plugin,
+    Plugins,
+    imported,
+    incomplete_stages,
+    installed_plugins,
+    stage_classes,
+)
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.stage import FAMILIES, Stage, StageAlias
@@ -75,7 +84,9 @@ class Registry:
         return self._classes[name]
 
     def _hint(self, name: str) -> tuple[str, bool]:
-        """Hint for an unknown name, and whether it resembles a known one."""
+        """Hint for an unknown name, and whether it is that of a plugin of ours, or resembles a known one."""
+        if name in PLUGIN_OF and not any(one.distribution == PLUGIN_OF[name] for one in self.plugins.plugins):
+            return self._not_there(PLUGIN_OF[name]), True
         family, _, word = name.partition(".")
         siblings = [known for known in self if known.startswith(f"{family}.")]
         near = [f"{family}.{found}" for found in nearest(word, [known.partition(".")[2] for known in siblings])]
@@ -93,6 +104,13 @@ class Registry:
         elif not (near or incomplete):
             hints.append("a plugin that supplies it may not be installed; `sppm plugins` lists those that are")
         return "; ".join(hints), bool(near)
+
+    def _not_there(self, distribution: str) -> str:
+        """Hint for a stage of a plugin of ours that was not loaded."""
+        if any(normal(found.distribution or "") == distribution for found, _ in installed_plugins()):
+            why = "switched off by --no-plugins" if self.plugins.disabled else "not among those of --allow-plugins"
+            return f"part of the plugin {distribution}, which is {why}"
+        return f"part of the plugin {distribution}, which is not installed: {install_words(distribution)}"
 
     def _incomplete(self) -> list[str]:
         return [lack for module in self.plugins.single_files() for lack in incomplete_stages(module)]

@@ -17,7 +17,7 @@ from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.plan import estimate
 from sppm_pipeline.engine.process import budget
 from sppm_pipeline.nouns.size import Size
-from tests.built_in import BUILT_IN
+from tests.built_in import DOCUMENTED, STAGES
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
@@ -76,7 +76,7 @@ def here(tmp_path, monkeypatch):
 
 
 def sppm(*words: str) -> int:
-    return main([*words, "--no-plugins"])
+    return main([*words, "--allow-plugins", ",".join(DOCUMENTED)])
 
 
 def estimated(capsys, *words: str) -> dict:
@@ -351,7 +351,7 @@ def test_the_table_of_rates_fits_the_program():
     """Each entry belongs to a stage, each rate to a unit, and none is negative."""
     columns, units = {"seconds", "memory", "kept", "disk"}, {field.name for field in fields(Size)}
     formats = ("stl", "ply", "obj", "off", "3mf", "glb", "vtu", "inp", "msh", "npy", "tiff", "vti")
-    names = {*BUILT_IN, *(f"write.{extension}" for extension in formats)}
+    names = {*STAGES, *(f"write.{extension}" for extension in formats)}
     for name, entry in estimate.table().items():
         assert name == "sppm" or name in names or name.rpartition(".")[0] in names, name
         assert set(entry) == columns
