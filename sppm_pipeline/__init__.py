@@ -88,7 +88,7 @@ def lazily(face: str, file: str) -> tuple[list[str], Callable[[str], Any], Calla
 
 
 def _hint(name: str, names: list[str]) -> str:
-    """Hint: the face or the plugin of ours that has a name, or a name that is nearly the same."""
+    """Hint: the face or the plugin in this repository that has a name, or a name that is nearly the same."""
     from difflib import get_close_matches
     from importlib import import_module
 

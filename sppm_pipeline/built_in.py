@@ -1,7 +1,6 @@
 """Where built-in stages, executors and verbs come from: features are found by looking which folders there are.
 
-And which stages the project's own plugins supply, so that whoever asks for one without its plugin is told what to
-install.
+And which stages the plugins of this repository supply, so that an error can name the plugin to install.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def test_python_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     family_of.cache_clear()
     for family in (family_of("crush"), step_families().crush):
         assert not hasattr(family, "voxel")
-        with pytest.raises(sppm.ConfigError, match="there is no stage 'crush.voxel'") as caught:
+        with pytest.raises(sppm.ConfigError, match="there is no stage 'crush\\.voxel'") as caught:
             family.voxel(resolution=8)
         assert WITHOUT in str(caught.value)
     family_of.cache_clear()

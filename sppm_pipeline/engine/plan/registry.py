@@ -84,7 +84,7 @@ class Registry:
         return self._classes[name]
 
     def _hint(self, name: str) -> tuple[str, bool]:
-        """Hint for an unknown name, and whether it is that of a plugin of ours, or resembles a known one."""
+        """Hint for an unknown name, and whether it is that of a known plugin, or resembles a known one."""
         if name in PLUGIN_OF and not any(one.distribution == PLUGIN_OF[name] for one in self.plugins.plugins):
             return self._not_there(PLUGIN_OF[name]), True
         family, _, word = name.partition(".")
@@ -106,7 +106,7 @@ class Registry:
         return "; ".join(hints), bool(near)
 
     def _not_there(self, distribution: str) -> str:
-        """Hint for a stage of a plugin of ours that was not loaded."""
+        """Hint for a stage of a known plugin that was not loaded."""
         if any(normal(found.distribution or "") == distribution for found, _ in installed_plugins()):
             why = "switched off by --no-plugins" if self.plugins.disabled else "not among those of --allow-plugins"
             return f"part of the plugin {distribution}, which is {why}"
