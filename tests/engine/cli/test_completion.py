@@ -10,8 +10,8 @@ from sppm_pipeline.engine.cli.main import main
 
 LINES = {
     "sppm ch": {"check"},
-    "sppm stages crush.": {"crush.voxel"},
-    "sppm run x -s crush.voxel.crit": set(),
+    "sppm stages simulate.": {"simulate.part"},
+    "sppm run x -s simulate.part.crit": set(),
     "sppm run x -s connect.mbdst.mo": {
         "connect.mbdst.mode=exact",
         "connect.mbdst.mode=greedy",
