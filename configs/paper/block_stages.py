@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from sppm_crushing import CompressionCurve
 
 from sppm_pipeline import Context, Stage
-from sppm_pipeline.features.crushing.compression import CompressionCurve
 
 
 @dataclass(frozen=True, kw_only=True)
