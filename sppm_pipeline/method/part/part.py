@@ -46,6 +46,10 @@ class Part(WrappedField):
         Thickness of the solid skin inside the domain's surface; 0 for none.
     skin_faces : (n,) int32 or None
         The triangles of the domain that have the skin: what is within its thickness of one of them. None for all.
+    solid_mm : float
+        Distance within which the part is solid near the triangles `solid_faces`; 0 for none.
+    solid_faces : (n,) int32
+        The triangles of the domain that keep solid around them, whatever has the skin.
     islands : {"auto", "remove", "keep"}
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed;
         "auto" as `connectivity.removal` limits it.
@@ -67,9 +71,12 @@ class Part(WrappedField):
     skin_faces: I32 | None = None
     fills: F64 = field(default_factory=lambda: np.zeros((0, 7)))
     border: Border | None = None
+    solid_mm: float = 0.0
+    solid_faces: I32 = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fills", frozen(np.asarray(self.fills, np.float64)))
+        object.__setattr__(self, "solid_faces", frozen(np.asarray(self.solid_faces, np.int32)))
         if self.skin_faces is not None:
             object.__setattr__(self, "skin_faces", frozen(np.asarray(self.skin_faces, np.int32)))
 
@@ -91,11 +98,16 @@ class Part(WrappedField):
         for drain in self.drains:
             if len(drain) != 7 or not all(math.isfinite(number) for number in drain) or drain[6] <= 0:
                 raise ValueError(f"a drain is two ends (x, y, z) and a positive radius, 7 numbers in mm, not {drain}")
-        chosen = self.skin_faces
-        if chosen is not None and len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.domain.faces):
-            raise ValueError("the skin is on a triangle that the domain does not have")
+        for chosen in (self.skin_faces, self.solid_faces):
+            if chosen is not None and len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.domain.faces):
+                raise ValueError("the skin is on a triangle that the domain does not have")
         if self.fills.shape[1:] != (7,) or not np.isfinite(self.fills).all() or not (self.fills[:, 6] > 0).all():
             raise ValueError("fills are rows of two ends (x, y, z) and a positive radius, 7 numbers in mm")
+
+    @property
+    def has_skin(self) -> bool:
+        """Whether there is solid besides the microstructure: a skin, or what is kept solid near some triangles."""
+        return self.skin_mm > 0 or self.solid_mm > 0
 
     @property
     def inner_level(self) -> float | None:
@@ -127,7 +139,8 @@ class Part(WrappedField):
         inner, skin, outer = self.fields_zyx(grid, threads, start, stop)
         if skin is not None:
             # farther in, the microstructure decides alone; a distance cut off would lie between
-            deep = skin >= np.float32(0.999 * max(grid.spacing) - 0.001 * self.skin_mm / self.physical_edge())
+            slack = 0.001 * max(self.skin_mm, self.solid_mm) / self.physical_edge()
+            deep = skin >= np.float32(0.999 * max(grid.spacing) - slack)
             np.minimum(inner, skin, out=inner, where=~deep)
         return inner, outer
 
@@ -152,12 +165,15 @@ class Part(WrappedField):
         if self.skin_mm:
             away = -outer if self.skin_faces is None else self._in_domain(grid).skin_distance(start, stop) / edge
             skin = away - np.float32(self.skin_mm) / edge
+        if self.solid_mm:
+            near = self._near_faces(grid).skin_distance(start, stop) / edge - np.float32(self.solid_mm) / edge
+            skin = near if skin is None else np.minimum(skin, near, out=skin)
         return self._filled_and_drained_field(inner, skin, grid, start, stop), skin, outer
 
     def within_zyx(self, grid: Grid, threads: int, start: int, stop: int) -> tuple[F32, F32 | None, Bools]:
         """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
         inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
-        if self.skin_mm or self.border:
+        if self.has_skin or self.border:
             return *self.fields_zyx(grid, threads, start, stop)[:2], inside
         inner = self.base.sample_zyx(grid, start, stop, threads)
         return self._filled_and_drained_field(inner, None, grid, start, stop), None, inside
@@ -197,7 +213,7 @@ class Part(WrappedField):
             return *self.fields_zyx(grid, threads, start, stop), NO_CROSSINGS
         domain = self._in_domain(grid)
         crossings = domain.crossings(start, stop)
-        if self.skin_mm or self.drains or self.method != "scanline":
+        if self.has_skin or self.drains or self.method != "scanline":
             # only a closed mesh without skin and drains is known by its triangles alone
             return *self.fields_zyx(grid, threads, start, stop), crossings
         inside = domain.inside(start, stop).view(np.bool_)
@@ -220,7 +236,7 @@ class Part(WrappedField):
         if self.border is not None:
             _, inside, skin = (
                 self._plain()._solid_inside_skin(grid, start, stop, threads)
-                if self.skin_mm
+                if self.has_skin
                 else (None, self._in_domain(grid).inside(start, stop), None)
             )
             field = self._bordered().sample(grid, start, stop, threads, row_spans(inside))
@@ -242,6 +258,9 @@ class Part(WrappedField):
             around = self._in_domain(grid).inside(first, last)
             inside = around[start - first : stop - first]
             skin = skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
+        if self.solid_mm:
+            skin = np.zeros_like(inside) if skin is None else skin
+            self._near_faces(grid).add_skin(start, inside, skin)
         solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
         solid &= inside
         if skin is not None:
@@ -255,7 +274,7 @@ class Part(WrappedField):
         """`solid_bits`, and how many samples lie in the domain and in its skin, as ``domain`` and ``skin``."""
         from sppm_pipeline.services.bit_rows import count, pack
 
-        if self.skin_mm or self.drains or len(self.fills) or self.border:
+        if self.has_skin or self.drains or len(self.fills) or self.border:
             solid, inside, skin = self._solid_inside_skin(grid, start, stop, threads)
             of_skin = 0 if skin is None else int(np.count_nonzero(skin & solid))  # drains win over the skin
             return pack(solid), {"domain": int(np.count_nonzero(inside)), "skin": of_skin}
@@ -323,6 +342,15 @@ class Part(WrappedField):
             _SAMPLERS[self] = sampler
         return sampler
 
+    def _near_faces(self, grid: Grid) -> DomainSampler:
+        """The sampler whose skin is what is kept solid near faces."""
+        sampler = _NEAR_FACES.get(self)
+        if sampler is None or sampler.of != grid:
+            world = self.in_mm(grid)
+            sampler = DomainSampler(self.domain, grid, world, self.solid_mm, self.method, self.solid_faces)
+            _NEAR_FACES[self] = sampler
+        return sampler
+
     def _plain(self) -> Part:
         """The part whose solid ends at the surface as it is cut."""
         return replace(self, border=None)
@@ -343,6 +371,7 @@ class Part(WrappedField):
             "domain": self.domain.summary(),
             "skin_mm": self.skin_mm,
             **({} if self.skin_faces is None else {"skin_triangles": len(self.skin_faces)}),
+            **({"solid_mm": self.solid_mm, "solid_triangles": len(self.solid_faces)} if self.solid_mm else {}),
             "drains": len(self.drains),
             "fills": len(self.fills),
             "islands": self.islands,
@@ -381,4 +410,5 @@ def coarse_size(part: Size, pitch: Length | None = None) -> Size:
 
 
 _SAMPLERS: WeakKeyDictionary[Part, DomainSampler] = WeakKeyDictionary()
+_NEAR_FACES: WeakKeyDictionary[Part, DomainSampler] = WeakKeyDictionary()
 _BORDERS: WeakKeyDictionary[Part, BorderSampler] = WeakKeyDictionary()

@@ -46,7 +46,8 @@ class ImplicitFill(Stage):
     A skin may be on some faces only: on the triangles that face one of the directions `skin_toward`, on those of
     `skin_groups` of the file or listed in `skin_triangles`, and on those near the mesh at the port `skin_near`, all of
     these together. What lies in the part within the thickness of one of them is solid, so the skin ends around the edge
-    of the faces in a round rim.
+    of the faces in a round rim. `solid_near` names faces around which the part is solid farther in, within
+    `solid_within`, whatever has the skin: the holes of screws, say.
 
     Cut at the surface of a part, struts end in shards. With `border: round` the solid is a union of balls, which lie
     inside of the part: what is too thin goes, struts that are a little too thin are thickened, edges get round, and
@@ -81,6 +82,11 @@ class ImplicitFill(Stage):
         None, help="skin on triangles whose three corners are within this distance of the mesh at `skin_near`",
         unit="mm", minimum=0, maximum=1e4,
     )  # fmt: skip
+    solid_near: tuple[str, ...] = option((), help="groups or faces, as for `skin_groups`, near which the part is solid")
+    solid_within: Length | None = option(
+        None, help="distance from the faces `solid_near` within which the part is solid",
+        unit="mm", minimum=1e-3, maximum=1e4,
+    )  # fmt: skip
     drains: tuple[tuple[float, float, float, float, float, float, float], ...] = option(
         (),
         help="holes through skin and microstructure: [x, y, z, x, y, z, radius], a ball that moves between two points",
@@ -101,14 +107,19 @@ class ImplicitFill(Stage):
         """Drains that are open, and faces to choose only for a skin."""
         if self.border == "cut" and self.thinnest is not None:
             raise ConfigError("`thinnest` is what a border leaves, and there is none", hint="give `border: round`")
-        if self.border != "cut" and self.skin is not None:
-            least = 2 * (self.thinnest or THINNEST).mm()
-            if self.skin.mm() < least:
+        least = 2 * (self.thinnest or THINNEST).mm()
+        for what, thick in (("skin", self.skin), ("solid near faces", self.solid_within)):
+            if self.border != "cut" and thick is not None and thick.mm() < least:
                 raise ConfigError(
-                    f"a skin of {self.skin.mm():g} mm is not sure to stay whole; with a border it is twice as thick as "
+                    f"a {what} of {thick.mm():g} mm is not sure to stay whole; with a border it is twice as thick as "
                     f"`thinnest`, {least:g} mm, or more",
-                    hint="make the skin thicker, or `thinnest` smaller",
+                    hint=f"make the {what.split()[0]} thicker, or `thinnest` smaller",
                 )
+        if (self.solid_within is None) != (not self.solid_near):
+            raise ConfigError(
+                "`solid_near` names faces, and `solid_within` says how far from them the part is solid: both or none",
+                hint="write for example `solid_near: [holes], solid_within: 2 mm`",
+            )
         if self.skin is None and self._chooses:
             raise ConfigError("faces are chosen for a skin, and there is none", hint="give `skin: 1 mm`")
         for number, direction in enumerate(self.skin_toward, 1):
@@ -150,6 +161,12 @@ class ImplicitFill(Stage):
         border = None if self.border == "cut" else Border((self.thinnest or THINNEST).mm())
         skin = self.skin.mm() if self.skin else 0.0
         part = Part(field, domain, skin, self.islands, method, self.drains, chosen, border=border)
+        if self.solid_within is not None:
+            from sppm_pipeline.method.nouns.named_faces import named_triangles
+
+            faces = np.flatnonzero(named_triangles(domain, self.solid_near)).astype(np.int32)
+            context.report(solid_triangles=len(faces))
+            part = replace(part, solid_mm=self.solid_within.mm(), solid_faces=faces)
         if part.skin_mm:
             sealed = sealed_void(part, context.threads)
             context.report(sealed_mm3=sealed)

@@ -148,7 +148,7 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     # by scan lines the triangles themselves bound the part; otherwise its surface is sampled, too
     closed = part.method == "scanline" and part.border is None
     field = np.empty((nz, ny, nx), np.float32)
-    skin = np.empty_like(field) if part.skin_mm else None
+    skin = np.empty_like(field) if part.has_skin and part.border is None else None
     outer = None if closed else np.empty_like(field)
     held = np.empty(field.shape if part.islands != "keep" else (0, 0, 0), np.uint8)
     step = max(1, SLAB_SAMPLES // (nx * ny))

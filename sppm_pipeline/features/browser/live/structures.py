@@ -150,7 +150,7 @@ def _lattice(field: ScalarField) -> tuple[dict[str, Any], dict[str, NDArray[Any]
     tiling = field.base if isinstance(field, Part) else field
     if not isinstance(tiling, Tiling) or tiling.tileset.kind in ("fresh", "scattered") or not tiling.additive:
         return None
-    if isinstance(field, Part) and (field.skin_mm or len(field.drains) or len(field.fills) or field.border):
+    if isinstance(field, Part) and (field.has_skin or len(field.drains) or len(field.fills) or field.border):
         return None
     pieces, arrays = tiling.tileset.micro.pieces, tiling.arrays
     if tiling.tileset.micro.stretched:

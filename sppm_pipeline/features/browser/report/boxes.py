@@ -194,7 +194,7 @@ def boxes(
     known = porosities(stages, view)
     # with a skin, what was wanted is the porosity of the infill, and the part has another
     summaries = [stage.get("summary", {}) for stage in stages]
-    apart = any(summary.get("skin_mm") or summary.get("fills") for summary in summaries)
+    apart = any(summary.get("skin_mm") or summary.get("solid_mm") or summary.get("fills") for summary in summaries)
     of_infill = ("wanted", "infill") if apart else ()
     # samples of the live view are too coarse for thin skins; layers know better
     there = {what for what, _, stage in known if not (apart and stage == "live view")}

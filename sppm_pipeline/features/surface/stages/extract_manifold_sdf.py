@@ -119,7 +119,7 @@ class ManifoldSdf(Stage):
         """The domain of a part, less the voids in its core: what is within the domain but not within the skin."""
         domain = (part.domain.vertices, part.domain.faces)
         names = ("the microstructure", part.domain.name)
-        if part.skin_mm:
+        if part.has_skin:
             half = _half(grid)
             _, skin, _ = part.fields_zyx(half, context.threads)
             if skin is None or not (skin > 0).any():
