@@ -56,6 +56,18 @@ class Region(NamedTuple):
 
         return surface_distances(box_tree(self.triangles), p)
 
+    def signed_distances(self, points: F64) -> F64:
+        """`distances`, but negative inside of a box, sphere or cylinder: less the distance from its surface."""
+        n, p = self.numbers, points
+        if self.kind == "box":
+            depth = np.minimum(p - np.array(n[:3]), np.array(n[3:]) - p).min(1)
+        elif self.kind == "sphere":
+            depth = n[3] - np.linalg.norm(p - np.array(n[:3]), axis=1)
+        else:
+            across, along = np.delete(p, self.axis, axis=1) - np.array(n[:2]), p[:, self.axis]
+            depth = np.minimum(n[2] - np.linalg.norm(across, axis=1), np.minimum(along - n[3], n[4] - along))
+        return np.where(depth > 0, -depth, self.distances(points))
+
 
 class Condition(NamedTuple):
     """What happens in a region."""
@@ -146,8 +158,8 @@ def region_of(text: str, part: SurfaceMesh | None, near: SurfaceMesh | None = No
     A `ConfigError` says what was expected instead.
     """
     words = _Words(text, text.split())
-    # of a CAD file, `on #12`, `on holes d<6mm`, `on face 3` and `on color red` are groups, too
-    named = words.words and re.match(r"#\d+$|holes?$|face$|color$", words.words[0])
+    # of a CAD file, `on #12`, `on holes d<6mm`, `on face 3`, `on color red`, `on body plate` are groups, too
+    named = words.words and re.match(r"#\d+$|holes?$|face$|color$|body$", words.words[0])
     kind = "group" if named else words.take("plane", "box", "sphere", "cylinder", "group", "near", "surface")
     axis = AXES.index(words.take(*AXES)) if kind in ("plane", "cylinder") else 0
     numbers: list[float] = []

@@ -92,7 +92,7 @@ def test_what_is_refused(wang_tiling):
     for options in ({"solid_near": ("holes",)}, {"solid_within": Length(1)}):
         with pytest.raises(ConfigError, match="both or none"):
             ImplicitFill(**options).check_options()
-    with pytest.raises(ConfigError, match="solid near faces of 0.5 mm is not sure"):
+    with pytest.raises(ConfigError, match=r"solid near faces of 0\.5 mm is not sure"):
         ImplicitFill(solid_near=("x",), solid_within=Length(0.5), border="round").check_options()
     with pytest.raises(InputError, match="no group 'holes'"):
         filled(wang_tiling, solid_near=("holes",), solid_within=Length(1))

@@ -134,19 +134,11 @@ class BlendedField(ScalarField):
         parts = []
         for field, own, table, needed in (
             (self.first, grid, self.tables[0], weight.min() < 1),
-            (self.second, self._in_second(grid), self.tables[1], weight.max() > 0),
+            (self.second, in_cells_of(self.second, self.first, grid), self.tables[1], weight.max() > 0),
         ):
             values = field.sample_zyx(own, start, stop, threads) if needed else np.zeros_like(weight)
             parts.append(scores_of(table, values))
         return (blended(parts[0], parts[1], weight) - cut).T
-
-    def _in_second(self, grid: Grid) -> Grid:
-        """The same points in cells of the second field."""
-        edge, other = self.first.physical_edge(), self.second.physical_edge()
-        shift = np.subtract(self.first.origin_mm, self.second.origin_mm)
-        x, y, z = ((np.array(grid.origin) * edge + shift) / other).tolist()
-        hx, hy, hz = (spacing * edge / other for spacing in grid.spacing)
-        return Grid((x, y, z), (hx, hy, hz), grid.shape)
 
     def _maps(self, grid: Grid, start: int, stop: int) -> tuple[F32, F32]:
         """The weight, and the score at the surface of the solid, (layers, ny, nx)."""
@@ -213,44 +205,60 @@ class BlendFields(Stage):
             raise ConfigError(
                 "there is no map `weight`", hint="make one, for example by `grade.formula` with `of: weight`"
             )
-        for which, field in (("first", first), ("second", second)):
-            if field.edge_mm is None:
-                raise ConfigError(
-                    f"the cells of the {which} field have no size in millimeters",
-                    hint="lay it by a `tile` stage with `cell: 5 mm`, or give `edge: 5 mm` where it is made",
-                )
-        own, other = _box(first), _box(second)
-        slack = 1e-6 * first.physical_edge()
-        if not second.periodic and ((own[0] < other[0] - slack) | (own[1] > other[1] + slack)).any():
-            raise ConfigError(
-                f"the second field lies in the box {other.round(6).tolist()} mm and does not cover that of the first, "
-                f"{own.round(6).tolist()}",
-                hint="lay both over the same part or box, or take a field that repeats as the second one",
-            )
-        tables, porosities = [], []
-        for which, field in (("first", first), ("second", second)):
-            values = self._sampled(context, field)
-            try:
-                tables.append(score_table(values))
-            except ValueError:
-                raise ConfigError(f"the {which} field is all {'void' if values[0] >= 0 else 'solid'}") from None
-            porosities.append(float((values >= 0).mean()))
+        tables, porosities = scored(context, {"first": first, "second": second}, self.probes)
         return BlendedField(first, second, grading, (tables[0], tables[1]), (porosities[0], porosities[1]))
 
-    def _sampled(self, context: Context, field: ScalarField) -> F32:
-        """Values in cells spread over the field, as many in each."""
-        cells = np.argwhere(filled_cells(field)).astype(float)
-        if not len(cells):
-            raise ConfigError("a field has no cells")
-        # 64 to 127 cells, spread over the field, if there are as many
-        cells = cells[:: max(1, len(cells) // 64)]
-        n = max(8, round((self.probes / len(cells)) ** (1 / 3)))
-        h = 1.0 / n
-        found = [
-            field.sample_zyx(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (n,) * 3), 0, n, context.threads).ravel()
-            for x, y, z in cells
-        ]
-        return np.concatenate(found)
+
+def in_cells_of(field: ScalarField, first: ScalarField, grid: Grid) -> Grid:
+    """The points of a grid in cells of a first field, in cells of another one."""
+    edge, other = first.physical_edge(), field.physical_edge()
+    shift = np.subtract(first.origin_mm, field.origin_mm)
+    x, y, z = ((np.array(grid.origin) * edge + shift) / other).tolist()
+    hx, hy, hz = (spacing * edge / other for spacing in grid.spacing)
+    return Grid((x, y, z), (hx, hy, hz), grid.shape)
+
+
+def scored(context: Context, fields: dict[str, ScalarField], probes: int) -> tuple[list[ScoreTable], list[float]]:
+    """Scores and porosities of fields, by their names in messages; all of them cover the first one."""
+    tables, porosities, (base, first) = [], [], next(iter(fields.items()))
+    for which, field in fields.items():
+        if field.edge_mm is None:
+            raise ConfigError(
+                f"the cells of the {which} field have no size in millimeters",
+                hint="lay it by a `tile` stage with `cell: 5 mm`, or give `edge: 5 mm` where it is made",
+            )
+    own, slack = _box(first), 1e-6 * first.physical_edge()
+    for which, field in fields.items():
+        other = _box(field)
+        if not (field is first or field.periodic) and ((own[0] < other[0] - slack) | (own[1] > other[1] + slack)).any():
+            raise ConfigError(
+                f"the {which} field lies in the box {other.round(6).tolist()} mm and does not cover that of the "
+                f"{base}, {own.round(6).tolist()}",
+                hint=f"lay both over the same part or box, or take a field that repeats as the {which} one",
+            )
+        values = _sampled(context, field, probes)
+        try:
+            tables.append(score_table(values))
+        except ValueError:
+            raise ConfigError(f"the {which} field is all {'void' if values[0] >= 0 else 'solid'}") from None
+        porosities.append(float((values >= 0).mean()))
+    return tables, porosities
+
+
+def _sampled(context: Context, field: ScalarField, probes: int) -> F32:
+    """Values in cells spread over the field, as many in each."""
+    cells = np.argwhere(filled_cells(field)).astype(float)
+    if not len(cells):
+        raise ConfigError("a field has no cells")
+    # 64 to 127 cells, spread over the field, if there are as many
+    cells = cells[:: max(1, len(cells) // 64)]
+    n = max(8, round((probes / len(cells)) ** (1 / 3)))
+    h = 1.0 / n
+    found = [
+        field.sample_zyx(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (n,) * 3), 0, n, context.threads).ravel()
+        for x, y, z in cells
+    ]
+    return np.concatenate(found)
 
 
 def _box(field: ScalarField) -> F64:
