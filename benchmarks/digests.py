@@ -261,6 +261,7 @@ EXAMPLES: Mapping[str, Small] = {
     "tetrahedra": _small("", "tune.porosity.resolution=24; mesh.isosurface_stuffing.resolution=12"),
     "trapped_resin": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.3 mm"),
     "tube": _small("", f"tile.fresh.resolution=12; {_VIEW}"),
+    "regions": _small("", f"coarse.resolution=12; fine.resolution=12; {_VIEW}"),
     "two_sets": _small("", f"coarse.resolution=16; fine.resolution=16; tile.joined.resolution=12; {_VIEW}"),
     "walls_cell": _small("", f"tune.porosity.resolution=24; homogenize.voxel.resolution=16; {_VIEW}"),
     "wang_tiles": _small("", f"tileset.wang_3color.resolution=16; tileset.wang_3color.tolerance=0.02; {_VIEW}"),

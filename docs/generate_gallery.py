@@ -45,6 +45,7 @@ GALLERY = {
         "finer_pores": ("Finer pores at the same porosity", "bar.png"),
         "two_sets": ("Two tile sets in one part", "joined.png"),
         "blend": ("A sponge becomes a gyroid", "blend.png"),
+        "regions": ("Bodies of their own", "regions.png"),
     },
     "Other structures": {
         "foam_ball": ("A foam", "foam.png"),

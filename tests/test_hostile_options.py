@@ -93,6 +93,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "field.blend": (
         [*TILED, "  - {stage: grade.formula, of: weight, formula: 0.5 + 0*x}"], "probes: 10000",
         ["  - {stage: check.porosity, resolution: 4}"]),
+    "fill.regions": (TILED, "regions: [solid in sphere 1 1 1 radius 0.5 mm], probes: 10000", []),
     "field.walls": (AS_CELL[:3], "thickness: 0.05, tunnel_radius: 0.04", CHECKED),
     "field.sheet": (["  - {stage: sample.elimination, count: 12}"], "relaxation: 2", CHECKED),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),

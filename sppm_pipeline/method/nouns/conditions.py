@@ -56,6 +56,18 @@ class Region(NamedTuple):
 
         return surface_distances(box_tree(self.triangles), p)
 
+    @property
+    def bounds(self) -> tuple[F64, F64]:
+        """Low and high corner of a box, sphere or cylinder, mm."""
+        n = self.numbers
+        if self.kind == "box":
+            return np.array(n[:3]), np.array(n[3:])
+        if self.kind == "sphere":
+            return np.array(n[:3]) - n[3], np.array(n[:3]) + n[3]
+        ends = ([n[0] - n[2], n[1] - n[2]], n[3]), ([n[0] + n[2], n[1] + n[2]], n[4])
+        low, high = (np.insert(across, self.axis, along) for across, along in ends)
+        return low, high
+
     def signed_distances(self, points: F64) -> F64:
         """`distances`, but negative inside of a box, sphere or cylinder: less the distance from its surface."""
         n, p = self.numbers, points

@@ -97,13 +97,18 @@ def test_a_mesh_is_as_good_as_a_word_and_slabs_do_not_matter():
     for made in (near, group):  # a polyhedron of 5120 triangles lies up to 0.003 mm inside
         assert np.mean(made.solid(GRID) != word.solid(GRID)) < 2e-3
     assert np.array_equal(near.solid(GRID), group.solid(GRID))
+    # one that lies beside the grid is felt in it
+    beside = SurfaceMesh(*box_mesh((-2.0, 4.0, 4.0), (2.0, 4.0, 20.0)))
+    other = regions("solid in near", near=beside, blend=4.0).solid(GRID)
+    assert np.array_equal(other, regions("solid in box -3 2 -6 to -1 6 14 mm", blend=4.0).solid(GRID))
+    assert (other != FIRST.solid(GRID)).mean() > 0.01
     whole = near.sample_zyx(GRID, 0, GRID.shape[2])
     parts = [near.sample_zyx(GRID, *ends, 2) for ends in ((0, 7), (7, 8), (8, GRID.shape[2]))]
     assert np.array_equal(np.concatenate(parts), whole)
 
 
 def test_the_mesh_of_a_part_holds_as_much_as_its_layers():
-    domain = SurfaceMesh(*box_mesh((6.0, 4.0, 4.0), (11.03, 7.02, 7.01)), name="box")
+    domain = SurfaceMesh(*box_mesh((6.0, 4.0, 4.0), (11.0, 7.0, 7.0)), name="box")
     empty = regions("solid in sphere 8 4 4 radius 2.5 mm", "empty in sphere 8 4 4 radius 1 mm", blend=0.5)
     part = Part(empty, domain, islands="keep")
     mesh = MarchingCubes(resolution=20).run(PlainContext(), part)

@@ -146,28 +146,27 @@ class RegionsField(ScalarField):
         return field
 
     def _distances(self, grid: Grid, start: int, stop: int) -> list[F32]:
-        """Distances from each body, mm, negative inside, (layers, ny, nx); of meshes as far as they are needed."""
-        edge = self.physical_edge()
-        x, y, z = (o + edge * g for o, g in zip(self.origin_mm, grid.origin, strict=True))
-        hx, hy, hz = (edge * h for h in grid.spacing)
-        world = Grid((x, y, z), (hx, hy, hz), grid.shape)
-        kept = _SAMPLERS.get(self)
+        """Distances from each body, mm, negative inside, (layers, ny, nx); far beyond `blend_mm` of it."""
+        kept = _KEPT.get(self)
         if kept is None or kept[0] != grid:
-            samplers = {
-                number: DomainSampler(body.mesh, grid, world, self.blend_mm, "scanline")
-                for number, body in enumerate(self.bodies)
-                if body.mesh is not None
-            }
-            kept = _SAMPLERS[self] = grid, samplers
+            edge = self.physical_edge()
+            x, y, z = (o + edge * g for o, g in zip(self.origin_mm, grid.origin, strict=True))
+            hx, hy, hz = (edge * h for h in grid.spacing)
+            world = Grid((x, y, z), (hx, hy, hz), grid.shape)
+            # windows of the grid, whichever layers are asked for, so that all get the same bits
+            kept = _KEPT[self] = grid, [_Near(body, world, self.blend_mm) for body in self.bodies]
         found = []
-        for number, body in enumerate(self.bodies):
-            if body.mesh is not None:
-                found.append(kept[1][number].distance(start, stop))
-                continue
-            layers = world.layers(start, stop)
-            at = np.meshgrid(*(layers.axis(axis) for axis in (2, 1, 0)), indexing="ij")
-            points = np.stack([one.ravel() for one in at[::-1]], axis=1)
-            found.append(body.region.signed_distances(points).astype(np.float32).reshape(at[0].shape))
+        ends = (start, stop), (0, grid.shape[1]), (0, grid.shape[0])
+        for near in kept[1]:
+            low, n = near.low[::-1], near.grid.shape[::-1]
+            own = [(max(a, at), min(b, at + m)) for (a, b), at, m in zip(ends, low, n, strict=True)]
+            distance = np.full((stop - start, *grid.shape[1::-1]), np.inf, np.float32)
+            if all(a < b for a, b in own):
+                (k, j, i), to = (
+                    tuple(slice(a - o, b - o) for (a, b), o in zip(own, at, strict=True)) for at in (low, (start, 0, 0))
+                )
+                distance[to] = near.distance(k.start, k.stop)[:, j, i]
+            found.append(distance)
         return found
 
     def summary(self) -> dict[str, Any]:
@@ -175,7 +174,36 @@ class RegionsField(ScalarField):
         return {"regions": [body.text for body in self.bodies], "porosities": list(self.porosities)}
 
 
-_SAMPLERS: WeakKeyDictionary[RegionsField, tuple[Grid, dict[int, DomainSampler]]] = WeakKeyDictionary()
+class _Near:
+    """The samples near a body, a `grid` in mm; `low` are the numbers of the first in that of the part, or negative."""
+
+    def __init__(self, body: Body, world: Grid, blend_mm: float) -> None:
+        origin, spacing = np.array(world.origin), np.array(world.spacing)
+        lower, upper = (body.mesh.lower, body.mesh.upper) if body.mesh is not None else body.region.bounds
+        # of a body that reaches beyond the grid as much as is felt there
+        around = np.ceil(blend_mm / spacing) + 2
+        ends = [(corner - origin) / spacing for corner in (lower - blend_mm - spacing, upper + blend_mm + spacing)]
+        most = np.array(world.shape) + around
+        first, last = np.clip(np.floor(ends[0]), -around, most), np.clip(np.ceil(ends[1]) + 1, -around, most)
+        self.low = tuple(int(n) for n in first)
+        x, y, z = (origin + first * spacing).tolist()
+        nx, ny, nz = (max(0, int(n)) for n in last - first)
+        self.grid, self._region = Grid((x, y, z), world.spacing, (nx, ny, nz)), body.region
+        self._mesh: DomainSampler | None = None
+        if body.mesh is not None:
+            self._mesh = DomainSampler(body.mesh, self.grid, self.grid, blend_mm, "scanline")
+
+    def distance(self, start: int, stop: int) -> F32:
+        """Distances in layers start <= k < stop of `grid`."""
+        if self._mesh is not None:
+            return self._mesh.distance(start, stop)
+        layers = self.grid.layers(start, stop)
+        z, y, x = np.meshgrid(*(layers.axis(axis) for axis in (2, 1, 0)), indexing="ij")
+        points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+        return self._region.signed_distances(points).astype(np.float32).reshape(x.shape)
+
+
+_KEPT: WeakKeyDictionary[RegionsField, tuple[Grid, list[_Near]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, kw_only=True)
