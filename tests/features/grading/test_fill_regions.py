@@ -23,7 +23,7 @@ X, Y, Z = np.meshgrid(*(EDGE * GRID.axis(axis) for axis in range(3)), indexing="
 
 
 def regions(*texts, fields=(FIRST, SECOND), domain=None, near=None, blend=1.0):
-    stage = FillRegions(regions=texts, blend=None if blend is None else Length(blend), probes=50_000)
+    stage = FillRegions(regions=texts, blend_width=None if blend is None else Length(blend), probes=50_000)
     stage.check_options()
     return stage.run(PlainContext(), fields, domain, near)
 
@@ -157,7 +157,7 @@ pipeline:
   - {stage: read.primitive, shape: box, size: [9 mm, 6 mm, 6 mm]}
   - {stage: tile.scattered, id: coarse, recipe: cell, cell: 3 mm, porosity: 0.7, resolution: 8}
   - {stage: tile.scattered, id: fine, recipe: cell, cell: 2 mm, porosity: 0.5, resolution: 8}
-  - {stage: fill.regions, from: {fields: [coarse, fine]}, blend: 1 mm, probes: 10000,
+  - {stage: fill.regions, from: {fields: [coarse, fine]}, blend_width: 1 mm, probes: 10000,
      regions: [field 2 in box 0 0 0 to 4.5 9 9 mm, solid in cylinder z at 0 0 radius 1 mm]}
   - {stage: fill.implicit, islands: keep}
   - {stage: slice.field, pixel: 0.2 mm}

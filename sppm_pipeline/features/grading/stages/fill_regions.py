@@ -50,7 +50,7 @@ class RegionsField(ScalarField):
 
     Within a body, up to `blend_mm` outside of it and there less and less, its fill replaces what was before. Shares of
     fields are mixed by their normal scores as in `BlendedField`, and cut where the porosity, the mean by shares, is
-    right; solid has a porosity of 0, void of 1, and between these two nothing goes over.
+    right; solid has a porosity of 0, void of 1, and these two do not blend.
     """
 
     reported: ClassVar[tuple[str, ...]] = ("porosities.#4",)
@@ -105,7 +105,7 @@ class RegionsField(ScalarField):
             own = np.ones(shape, np.float32)
             outside = distance > 0
             own[outside] = np.clip(1 - distance[outside] / self.blend_mm, 0, 1) if self.blend_mm else 0
-            # between solid and void nothing goes over into the other: a surface would lie somewhere in between
+            # between solid and void nothing is blended: a surface would lie somewhere in between
             stays = {SOLID: EMPTY, EMPTY: SOLID}.get(body.fill)
             shares = {n: share * (outside if n == stays else 1 - own) for n, share in shares.items() if n != body.fill}
             shares[body.fill] = 1 - sum(shares.values(), np.zeros(shape, np.float32))
@@ -212,7 +212,7 @@ class FillRegions(Stage):
 
     The first field is everywhere; each body of `regions` in turn is laid over it: ``solid in body boss``, ``field 2 in
     group rim``, ``empty in cylinder z at 12 0 radius 4 mm``. Within a body its fill is there alone. Outside, over the
-    width `blend`, it goes over into what was there before: fields by their normal scores as in `field.blend`, so that
+    width `blend_width`, it blends into what was there: fields by their normal scores as in `field.blend`, so that
     the porosity goes evenly from one to the other, and towards solid or empty bodies to 0 or 1. A body is a box, sphere
     or cylinder, or closed: a body of a CAD file, an object of a mesh file, or the mesh at the port `near`. The fields
     are numbered as in ``from: {fields: [a, b]}``; lattice and place of the result are those of the first one, and
@@ -222,11 +222,12 @@ class FillRegions(Stage):
     name: ClassVar[str] = "fill.regions"
 
     regions: tuple[str, ...] = option(
+        (),
         help="bodies and their fills, later ones over earlier ones: 'solid in BODY', 'empty in BODY' or 'field 2 in "
         "BODY'; a BODY is 'body NAME' of a CAD file, 'group NAME' of a mesh, 'near', 'box 0 0 0 to 10 10 5 mm', "
-        "'sphere 0 0 5 radius 3 mm' or 'cylinder z at 12 0 radius 4 mm'"
+        "'sphere 0 0 5 radius 3 mm' or 'cylinder z at 12 0 radius 4 mm'",
     )
-    blend: Length | None = option(
+    blend_width: Length | None = option(
         None, help="width outside of a body over which its fill fades out; half a cell of the first field if omitted",
         unit="mm", minimum=0, maximum=1e4,
     )  # fmt: skip
@@ -262,7 +263,7 @@ class FillRegions(Stage):
         bodies = tuple(self._body(text, domain, near, len(fields)) for text in self.regions)
         named = {f"field {number}": field for number, field in enumerate(fields, 1)}
         tables, porosities = scored(context, named, self.probes)
-        blend = fields[0].physical_edge() / 2 if self.blend is None else self.blend.mm()
+        blend = fields[0].physical_edge() / 2 if self.blend_width is None else self.blend_width.mm()
         context.report(blend_mm=blend)
         return RegionsField(fields, bodies, blend, tuple(tables), tuple(porosities))
 
