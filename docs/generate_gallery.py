@@ -154,7 +154,13 @@ def steps_of(entries: Iterable[Mapping[str, Any] | str]) -> list[str]:
         arguments = [f"{key}={pprint.pformat(value, width=200, sort_dicts=False)}" for key, value in options.items()]
         line = f"step.{name}({', '.join(arguments)}),"
         if len(line) > 96:
-            lines += [f"step.{name}(", *(f"    {argument}," for argument in arguments), "),"]
+            lines.append(f"step.{name}(")
+            for argument, value in zip(arguments, options.values(), strict=True):
+                if len(argument) > 100:
+                    lines += [f"    {argument.split('=')[0]}=[", *(f"        {item!r}," for item in value), "    ],"]
+                else:
+                    lines.append(f"    {argument},")
+            lines.append("),")
         else:
             lines.append(line)
     return lines
