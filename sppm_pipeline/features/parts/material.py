@@ -16,6 +16,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import Applied, SharedBody, VoxelBody, applied, held_solid, mesh_body
 from sppm_pipeline.features.parts.part_result import TOP, PartResult
 from sppm_pipeline.features.parts.pictures import Shell
+from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases
 from sppm_pipeline.services.arrays import F32, F64, Bools
 from sppm_pipeline.services.elastic.elastic_level import Moduli
@@ -35,8 +36,18 @@ partly averaged."""
 TRIED = 8
 """Numbers of pores that usually cover a range of densities."""
 
+SHARES = (1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3)
+"""Shares of the solid of trial cells whose onset of yield is measured, of which 0.1 % of a part's solid is made."""
+
 SLACK = 0.02
 """Density by which a law is continued beyond its cells: cells of a number of pores scatter about as much."""
+
+
+class Silent(Quiet):
+    """A context that reports nothing either."""
+
+    def report(self, **numbers: Any) -> None:
+        """Drop numbers of a trial cell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +92,8 @@ class LoadedPart(Stage):
         solver: Any = stage_class("homogenize.voxel")(resolution=self.law_resolution)
         return cast(Size, solver.solving(recipe(Palette(), cells), cells))
 
-    def law_of(self, context: Context, recipe: Recipe) -> tuple[DensityLaw, float]:
-        """The law of a recipe, MPa, and the edge of its cell in the part, mm."""
+    def law_of(self, context: Context, recipe: Recipe, *, strength: bool = False) -> tuple[DensityLaw, float]:
+        """The law of a recipe, MPa, with `strength` also that of its onset of yield; the edge of its cell, mm."""
         low, high = self.density
         cells = stage_class("grade.stiffness")(
             porosities=(1 - high, 1 - low), trials=self.trials, resolution=self.law_resolution, poisson=self.poisson
@@ -93,6 +104,10 @@ class LoadedPart(Stage):
         law = density_law(
             densities, self.young * matrices, self.young, self.poisson, cubic=self.law_symmetry == "cubic"
         )
+        if strength:
+            onsets = np.array([self._onset(context, cell) for cell, _ in cells]).reshape(*shape, len(SHARES))
+            means = onsets.mean(axis=1)[np.argsort(densities.mean(axis=1))]
+            law = law._replace(onset=np.column_stack([means.T, np.ones(len(SHARES))]))
         if self.cell is None and cells[0][0].edge_mm is None:
             raise ConfigError(
                 "the cell of the recipe has no size in mm", hint="give the option `cell`, or `edge: 5 mm`"
@@ -105,6 +120,17 @@ class LoadedPart(Stage):
             )
         context.report(law_cells=len(cells), law_density_min=float(law.density[0]), law_error=error)
         return law, self.cell.mm() if self.cell is not None else float(cells[0][0].physical_edge())
+
+    def _onset(self, context: Context, cell: Any) -> F64:
+        """Mean stresses at which `SHARES` (s,) of a solid that yields at 1 do so, each the mean of the axes."""
+        stage: Any = stage_class("measure.onset")(poisson=self.poisson, resolution=self.law_resolution, shares=SHARES)
+        columns = stage.run(cast(Context, Silent(context)), cell).columns
+        borne = [
+            [v for v, one in zip(columns["onset"], columns["share"], strict=True) if one == s and v] for s in SHARES
+        ]
+        if not all(borne):
+            raise DesignError("a trial cell has no load path", hint="narrow the range `density`")
+        return np.array([np.mean(values) for values in borne])
 
     def elements_of(self, part: SurfaceMesh, cell: float) -> SharedBody:
         """The elements of a homogenized part."""
@@ -137,7 +163,10 @@ class LoadedPart(Stage):
         walls, mass = (np.zeros(body.solid.shape, dtype) for _ in range(2))
         walls[body.solid] = (1 - skin) * density + skin
         mass[body.solid] = share * walls[body.solid] * self.voxel_mass(body.edges)
-        return Model(body, constants, 1.0, mass, walls)
+        onset = None
+        if law.onset is not None:
+            onset = np.stack([monotone_cubic(law.density, one).at(walls[body.solid]) for one in law.onset])
+        return Model(body, constants, 1.0, mass, walls, onset)
 
     def voxel_mass(self, edges: tuple[float, float, float]) -> float:
         """Mass of a solid voxel, g; its volume in cm3 if the density is not known."""
@@ -165,10 +194,13 @@ class DensityLaw(NamedTuple):
         Ascending; the last one is 1.
     constants : (21, m) float64
         In the unit of the solid's Young's modulus.
+    onset : (s, m) float64 or None
+        Mean stress, over the yield stress of the solid, at which each of `SHARES` of it yields.
     """
 
     density: F64
     constants: F64
+    onset: F64 | None = None
 
     @property
     def _curves(self) -> list[MonotoneCubic]:
@@ -254,6 +286,7 @@ class Model(NamedTuple):
     ratio: float  # of both Lamé constants, with shear moduli
     mass: F32  # of the voxels, g; their volume in cm3 where the density is not known
     walls: F32 | None = None  # relative density of the walls in a homogenized voxel
+    onset: F64 | None = None  # of the solid elements (s, m), as in the law, if measured
 
     def held(self, solid: Bools, fixed: Bools, dtype: Any) -> HeldBody:
         """The solver of what is solid, with nodes held."""
@@ -287,7 +320,7 @@ def simulated(
 ) -> tuple[PartResult, Mapping[str, dict[str, NDArray[Any]]]]:  # fmt: skip
     """Solve all cases: the result, and with `keep` displacements and stresses on all voxels of each, for files."""
     numbers: dict[str, Any] = {}
-    compliance, worst_move, worst_stress, loose = 0.0, 0.0, 0.0, 0.0
+    compliance, worst_move, worst_stress, worst_peak, loose = 0.0, 0.0, 0.0, 0.0, 0.0
     surface, solver = None, None
     moved, stresses, full = [], [], dict[str, dict[str, NDArray[Any]]]()
     for number, case in enumerate(cases.cases):
@@ -316,12 +349,17 @@ def simulated(
         _check_move(context, case, move, ready.body)
         stress = _stress(model, solid, u)
         top = float(np.percentile(stress[solid], TOP))
+        peak = top
+        if model.onset is not None and model.walls is not None:
+            walls = model.walls[solid].astype(np.float64)
+            peak = 1 / yield_factor(stress[solid] * walls, model.onset[:, solid[model.body.solid]], walls)
         numbers[case.name] = {
             "compliance": energy, "deflection": move, "stress": top, "reaction": [float(f"{v:.6g}") for v in reaction],
             "iterations": found.solved.iterations,
         }  # fmt: skip
         compliance += case.weight * energy
         worst_move, worst_stress, loose = max(worst_move, move), max(worst_stress, top), max(loose, ready.loose)
+        worst_peak = max(worst_peak, peak)
         if surface is None:
             surface = Shell.of(ready.body)
         moved.append(surface.moved(u))
@@ -334,13 +372,36 @@ def simulated(
         context.warn(f"{loose:.2g} of the solid is not held by anything, and left out")
     result = PartResult(
         "resolved" if model.walls is None else "homogenized", compliance, worst_move, worst_stress,
-        safety=yield_stress / worst_stress if yield_stress and worst_stress else None,
+        safety=yield_stress / worst_peak if yield_stress and worst_peak else None,
         mass=float(model.mass.sum(dtype=np.float64)) if has_mass else None, loose=loose,
         elements=int(np.count_nonzero(model.body.solid)), cases=numbers,
         points=surface.points, triangles=surface.triangles,
         moved=np.stack(moved).astype(np.float32), stresses=np.stack(stresses).astype(np.float32),
     )  # fmt: skip
     return result, full
+
+
+def yield_factor(stress: F64, onset: F64, solid: F64) -> float:
+    """Factor on mean stresses (m,) by which as much of the solid of all elements reaches a stress of 1 as `TOP` leaves.
+
+    `onset` (s, m) are the mean stresses at which `SHARES` of an element's solid do; `solid` (m,) is how much it has.
+    """
+    shares = np.log(SHARES)
+    low, high = 1e-12, 1e12
+    for _ in range(60):
+        factor = float(np.sqrt(low * high))
+        place = factor * stress / onset
+        below = (place >= 1).sum(axis=0)
+        k = np.clip(below, 1, len(SHARES) - 1)
+        m = np.arange(len(stress))
+        width = np.log(np.maximum(onset[k, m] / onset[k - 1, m], 1 + 1e-9))
+        part = np.clip(np.log(np.maximum(place[k - 1, m], 1.0)) / width, 0, 1)
+        yielded = np.where(below, np.exp(shares[k - 1] + part * (shares[k] - shares[k - 1])), 0)
+        if yielded @ solid >= (1 - TOP / 100) * solid.sum():
+            high = factor
+        else:
+            low = factor
+    return high
 
 
 def solved(solver: HeldBody, one: Applied, start: NDArray[Any] | None, **stop: Any) -> Loaded:

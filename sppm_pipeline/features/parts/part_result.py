@@ -40,7 +40,7 @@ class PartResult(Report, Viewable):
     stress : float
         99.9 % of the solid bear less, in every case: von Mises, MPa. Of a homogenized part the mean over its walls.
     safety : float or None
-        Yield stress over that.
+        Yield stress over that; of a homogenized part over an estimate of the peaks in its walls.
     loose : float
         Share of the solid that nothing holds, which is left out.
     error : float or None

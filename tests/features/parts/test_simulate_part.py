@@ -9,7 +9,7 @@ from PIL import Image
 
 from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import VoxelBody, field_body
-from sppm_pipeline.features.parts.material import Model, simulated
+from sppm_pipeline.features.parts.material import SHARES, Model, simulated, yield_factor
 from sppm_pipeline.features.parts.stages.load_case import AddLoadCase
 from sppm_pipeline.features.parts.stages.simulate_part import SimulatePart
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
@@ -189,3 +189,15 @@ def test_conditions_are_drawn(tmp_path):
     orange = (pixels[:, 0] > 180) & (np.abs(pixels[:, 1] - 145) < 60) & (pixels[:, 2] < 90)
     assert red.sum() > 500
     assert orange.sum() > 500
+
+
+def test_a_share_of_the_solid_yields_at_the_factor():
+    """Of elements whose onsets and stresses differ, against the shares by interpolation one by one."""
+    onset = np.outer(np.array([0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8]), [1.0, 0.5])
+    one = np.array([1.0, 0.0])
+    # alone, the first yields by 0.1 % at the stress measured for that share; the second counts as solid that does not
+    assert yield_factor(2 * one, onset, one) == pytest.approx(0.125)
+    assert yield_factor(np.array([2.0, 1.0]), onset, np.ones(2)) == pytest.approx(0.125)
+    half = np.interp(np.log(0.002), np.log(SHARES), np.log(onset[:, 0]))
+    assert yield_factor(2 * one, onset, np.ones(2)) == pytest.approx(np.exp(half) / 2)
+    assert yield_factor(one, np.ones((len(SHARES), 2)), np.ones(2)) == pytest.approx(1.0)  # solid all through

@@ -224,3 +224,38 @@ def test_a_start_saves_iterations_and_changes_nothing():
     assert np.where(solid, 1.01 * warm.displacement, 0) == pytest.approx(
         np.where(solid, cold.displacement, 0), abs=1e-8
     )
+
+
+def test_a_loaded_body_is_that_of_scikit_fem():
+    """The same bricks in another program's assembly and direct solver: displacements to 1e-8."""
+    from skfem import Basis, BilinearForm, ElementHex1, ElementVector, MeshHex, condense, solve
+    from skfem.helpers import ddot, eye, sym_grad, trace
+
+    rng, n = np.random.default_rng(3), (6, 4, 5)  # x, y, z
+    solid = rng.random(n[::-1]) < 0.8
+    solid[:, :, 0] = solid[2, 2] = True
+    fixed = np.zeros((3, *(m + 1 for m in n[::-1])), bool)
+    fixed[..., 0] = True
+    mesh = MeshHex.init_tensor(*(np.linspace(0, m * h, m + 1) for m, h in zip(n, EDGES, strict=True)))
+    x, y, z = (np.floor(mesh.p[d, mesh.t].mean(axis=0) / EDGES[d]).astype(int) for d in range(3))
+    basis = Basis(mesh, ElementVector(ElementHex1()), elements=np.flatnonzero(solid[z, y, x]))
+
+    @BilinearForm
+    def energy(u, v, _):
+        strain = sym_grad(u)
+        return ddot(2 * 0.7 * strain + 1.1 * eye(trace(strain), 3), sym_grad(v))
+
+    matrix = energy.assemble(basis)
+    nodes = np.rint(mesh.p / np.array(EDGES)[:, None]).astype(int)
+    loads = rng.standard_normal(fixed.shape)
+    bears = (matrix.diagonal() > 0)[basis.nodal_dofs]  # (3, nodes)
+    held = fixed[:, nodes[2], nodes[1], nodes[0]] | ~bears
+    given = np.where(held, 0, loads[:, nodes[2], nodes[1], nodes[0]])
+    right = np.zeros(matrix.shape[0])
+    right[basis.nodal_dofs] = given
+    expected = solve(*condense(matrix, right, D=basis.nodal_dofs[held]))
+    ours = np.zeros(fixed.shape)
+    ours[:, nodes[2], nodes[1], nodes[0]] = given
+    body = HeldBody(Moduli(np.where(solid, 0.7, 0.0), None, 1.1 / 0.7), EDGES, fixed, np.float64)
+    found = body.solve(ours, np.zeros(fixed.shape), residual=1e-12).displacement[:, nodes[2], nodes[1], nodes[0]]
+    assert found[~held] == pytest.approx(expected[basis.nodal_dofs][~held], rel=1e-8, abs=1e-8)
