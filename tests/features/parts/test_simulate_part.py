@@ -1,13 +1,13 @@
 """Simulated parts: resolved against homogenized, numbers that must balance, files, and what is refused."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import meshio
 import numpy as np
 import pytest
 from PIL import Image
 
-from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
+from sppm_pipeline import ConfigError, DesignError, Length, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import VoxelBody, field_body
 from sppm_pipeline.features.parts.material import SHARES, Model, simulated, yield_factor
 from sppm_pipeline.features.parts.stages.load_case import AddLoadCase
@@ -17,9 +17,12 @@ from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
 from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
 from sppm_pipeline.services.elastic.loaded import packed
 from sppm_pipeline.services.elastic.voigt import lame
-from sppm_pipeline.testing.plain_context import PlainContext
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 YOUNG, POISSON, CELL = 1000.0, 0.3, 2.0
 SIZE = np.array([8.0, 4.0, 4.0])
@@ -201,3 +204,22 @@ def test_a_share_of_the_solid_yields_at_the_factor():
     half = np.interp(np.log(0.002), np.log(SHARES), np.log(onset[:, 0]))
     assert yield_factor(2 * one, onset, np.ones(2)) == pytest.approx(np.exp(half) / 2)
     assert yield_factor(one, np.ones((len(SHARES), 2)), np.ones(2)) == pytest.approx(1.0)  # solid all through
+
+
+def test_a_homogenized_part_has_a_safety_factor():
+    """Strength over stress, whatever the unit: well below that of a solid bar."""
+    recipe = recipe_of(
+        DartThrowing(total=14, share=0.5), BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
+        GaussianField(pore_radius=Length(0.17), tunnel_radius=Length(0.07)),
+    )  # fmt: skip
+    stage = SimulatePart(
+        young=YOUNG, poisson=POISSON, porosity=0.5, density=(0.4, 0.6), trials=1, law_resolution=12,
+        cell=Length(CELL, "mm"), yield_stress=30.0,
+    )  # fmt: skip
+    cases = loaded("3 0 0 N on plane x at high")
+    made, _ = run(stage, cases, None, BLOCK, None, recipe)
+    solid = 30.0 / (3 / 16)
+    assert 0.03 * solid < made.safety < 0.5 * solid
+    twice, _ = run(replace(stage, yield_stress=60.0), cases, None, BLOCK, None, recipe)
+    assert twice.safety == pytest.approx(2 * made.safety, rel=1e-6)
+    assert run(replace(stage, yield_stress=None), cases, None, BLOCK, None, recipe)[0].safety is None
