@@ -7,8 +7,8 @@ from scipy.sparse.linalg import spsolve
 
 from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import SharedBody, VoxelBody
-from sppm_pipeline.features.parts.material import DensityLaw, cubic_mean, density_law, solid_constants
-from sppm_pipeline.features.parts.stages.optimize_density import ConeFilter, OptimizeDensity, Problem
+from sppm_pipeline.features.parts.density_law import DensityLaw, cubic_mean, density_law, solid_constants
+from sppm_pipeline.features.parts.stages.optimize_density import ConeFilter, OptimizeDensity, Problem, principal
 from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases, condition_of, held_of
 from sppm_pipeline.method.nouns.maps import Place
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
@@ -194,11 +194,11 @@ def test_options_that_contradict_each_other_are_refused(options, words):
 
 
 def test_the_map_has_the_densities_where_the_elements_are():
-    from sppm_pipeline.features.parts.stages.optimize_density import _porosity_map
+    from sppm_pipeline.features.parts.stages.optimize_density import _map
 
     shared, _ = beam(4, 2, 2)
     density = np.linspace(0.2, 0.8, 16)
-    law = _porosity_map(shared, density)
+    law = _map(shared, "porosity", 1 - density)
     from sppm_pipeline.method.nouns.maps import Grading
 
     grading = Grading().added(law)
@@ -244,3 +244,23 @@ def test_mean_over_a_cube_has_three_constants_and_keeps_isotropy():
     same = from_lame(2.0, 3.0)
     assert cubic_mean(same) == pytest.approx(same)
     assert isinstance(square_law(), DensityLaw)
+
+
+def test_pores_stretch_along_the_largest_principal_stress():
+    """A beam in bending is pulled and pressed along its axis, whatever the sign; a bar in shear at 45 degrees."""
+    shared, mesh = beam()
+    problem = Problem(stage(), square_law(), shared, np.zeros(24 * 2 * 8), cases_of(mesh, DOWN))
+    problem.solved(PlainContext(), np.full(24 * 2 * 8, 0.4))
+    cone = ConeFilter(shared.body.solid, shared.body.edges, 1.0)
+    stretch, direction = principal(problem.squared_stresses(), cone, 2.5)
+    assert stretch.min() >= 1
+    assert stretch.max() == 2.5
+    outer = np.abs(direction.reshape(8, 2, 24, 3)[[0, 7], :, 4:12])
+    assert outer[..., 0].min() > 0.97
+    shear = np.zeros((384, 3, 3))
+    shear[:, 0, 2] = shear[:, 2, 0] = 1.0
+    shear[:, 1, 1] = 0.25
+    shear[:, 0, 0] = shear[:, 2, 2] = 3.0
+    stretch, direction = principal(shear @ shear, cone, 5.0)
+    assert np.abs(direction) == pytest.approx(np.tile(np.sqrt([0.5, 0, 0.5]), (384, 1)), abs=1e-9)
+    assert stretch == pytest.approx(np.sqrt(4 / 2))

@@ -9,7 +9,8 @@ from PIL import Image
 
 from sppm_pipeline import ConfigError, DesignError, Length, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import VoxelBody, field_body
-from sppm_pipeline.features.parts.material import SHARES, Model, simulated, yield_factor
+from sppm_pipeline.features.parts.density_law import SHARES, yield_factor
+from sppm_pipeline.features.parts.material import Model, simulated
 from sppm_pipeline.features.parts.stages.load_case import AddLoadCase
 from sppm_pipeline.features.parts.stages.simulate_part import SimulatePart
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness

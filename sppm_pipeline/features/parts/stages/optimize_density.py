@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from sppm_pipeline import Context, Headline, Length, Palette, Recipe, RecipeSize, Size, SurfaceMesh, option, options
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import SharedBody
-from sppm_pipeline.features.parts.material import DensityLaw, LoadedPart, Prepared, middles_of, prepared, solved, works
+from sppm_pipeline.features.parts.density_law import DensityLaw
+from sppm_pipeline.features.parts.material import LoadedPart, Prepared, middles_of, prepared, solved, works
 from sppm_pipeline.method.nouns.conditions import LoadCases, region_of
 from sppm_pipeline.method.nouns.maps import Grading, ImageLaw
 from sppm_pipeline.numerics import node_sums
 from sppm_pipeline.services.arrays import F64, Bools
-from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of
+from sppm_pipeline.services.elastic.loaded import HeldBody, strains_of, unpacked
 
 EVERY = 10
 """Steps between pictures."""
@@ -34,6 +35,7 @@ MOVE = 0.2
 HALVINGS = 60
 """Of the multiplier: to the last bit."""
 
+DIRECTION = ("direction_x", "direction_y", "direction_z")
 
 Bounds = tuple[F64, F64]
 
@@ -54,7 +56,9 @@ class OptimizeDensity(LoadedPart):
     the bounds `density`, which the printer and the recipe allow. The compliance is that of all load cases, weighted.
     Densities are means over a cone of at least the cell, and change by optimality criteria until they change by less
     than 0.01, or five steps gain less than a thousandth. The result is the map `porosity` that `tile.scattered` and
-    `tile.graded` follow.
+    `tile.graded` follow. With `max_stretch`, maps of it and of its direction stretch the pores of `tile.scattered`
+    along the largest principal stress, by the root of its size over that of the second one; the densities are those
+    found without.
 
     `deflection` is the displacement of the loads along themselves, in the mean over the loads: the compliance over the
     total force, of all cases weighted.
@@ -84,6 +88,9 @@ class OptimizeDensity(LoadedPart):
         1.0, help="radius of the cone over which densities are averaged; homogenization asks for a cell at least",
         unit="cell size", minimum=1, maximum=20,
     )  # fmt: skip
+    max_stretch: float = option(
+        1.0, help="largest stretch of pores along the largest principal stress; 1: none", minimum=1, maximum=5
+    )
     solid: tuple[str, ...] = option((), help="regions kept at the largest density, as in `load.case`: 'box ...'")
     empty: tuple[str, ...] = option((), help="regions kept at the smallest density")
     updates: int = option(60, help="maximum number of updates of the densities", minimum=1, maximum=500)
@@ -121,7 +128,12 @@ class OptimizeDensity(LoadedPart):
             mass=problem.mass(design) if self.solid_density else None,
             relative_density=problem.mass(design) / problem.full,
         )  # fmt: skip
-        return before.added(_porosity_map(shared, design))
+        found = before.added(_map(shared, "porosity", 1 - design))
+        if self.max_stretch > 1:
+            stretch, direction = principal(problem.squared_stresses(), cone, self.max_stretch)
+            for name, values in zip(("stretch", *DIRECTION), (stretch, *direction.T), strict=True):
+                found = found.added(_map(shared, name, values))
+        return found
 
     def _bounds(self, part: SurfaceMesh, shared: SharedBody) -> Bounds:
         """Bounds of the design variables (m,), with regions that are kept."""
@@ -233,6 +245,7 @@ class Problem:
         self._slopes = share * (1 - skin)
         self._starts: dict[str, NDArray[Any]] = {}
         self._ready: list[Prepared] = []
+        self._constants: NDArray[Any] = np.zeros((21, 0))
         self.force = 1.0
 
     def mass(self, density: F64) -> float:
@@ -243,6 +256,7 @@ class Problem:
         """Compliance of densities (m,), and how much a unit of each lowers it."""
         stage = self.stage
         model = stage.model_of(self.shared, self.law, density, self.skin, 1.0, self.dtype)
+        self._constants = model.moduli[:, self.shared.body.solid]
         weightless = not any(any(case.gravity) for case in self.cases.cases)
         if not self._ready or not weightless:
             self._ready = [prepared(model, case, drop=False) for case in self.cases.cases]
@@ -272,6 +286,16 @@ class Problem:
                 pulled = node_sums(np.tensordot(np.array(one.case.gravity), u, 1))[1:, 1:, 1:][one.body.solid] / 8
                 gain -= one.case.weight * 2e-3 * self.masses * pulled
         return State(density, compliance, gain)
+
+    def squared_stresses(self) -> F64:
+        """Squares of the mean stresses of the elements (m, 3, 3) when last solved, weighted over the cases."""
+        total = np.zeros((len(self.skin), 3, 3))
+        for one in self._ready:
+            strain, _ = strains_of(self._starts[one.case.name], one.body.solid, one.body.edges)
+            xx, yy, zz, yz, xz, xy = np.einsum("nij,jn->in", unpacked(self._constants), strain)
+            stress = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+            total += one.case.weight * stress @ stress
+        return total
 
 
 class ConeFilter:
@@ -326,13 +350,29 @@ def updated(design: F64, gain: F64, cost: F64, bounds: tuple[F64, F64], enough: 
     return np.clip(design * ratio * most, low, high)
 
 
-def _porosity_map(shared: SharedBody, density: F64) -> ImageLaw:
-    """The map of porosity; outside of the part it goes on as in the nearest element."""
+def principal(squared: F64, cone: ConeFilter, most: float) -> tuple[F64, F64]:
+    """Stretch (m,) and unit direction (m, 3) of elements from their squared stresses (m, 3, 3).
+
+    The direction is that of the largest principal stress, pulled or pressed, of the squares averaged over the cone; the
+    stretch is the root of its size over that of the second one, at most `most`. Directions have no sign: all point
+    to the side of the longest mean, so that maps of them can be interpolated.
+    """
+    mean = np.stack([cone.mean(one) for one in squared.reshape(-1, 9).T], axis=1).reshape(-1, 3, 3)
+    values, vectors = np.linalg.eigh(mean)
+    sizes = np.sqrt(np.maximum(values, 1e-300))
+    direction = vectors[:, :, 2]
+    common = np.linalg.eigh(mean.sum(axis=0))[1][:, 2]
+    direction = direction * np.where(direction @ common < 0, -1.0, 1.0)[:, None]
+    return np.clip(np.sqrt(sizes[:, 2] / sizes[:, 1]), 1, most), direction
+
+
+def _map(shared: SharedBody, name: str, of: F64) -> ImageLaw:
+    """The map of values of the elements (m,); outside of the part it goes on as in the nearest element."""
     from scipy.ndimage import distance_transform_edt
 
     solid = shared.body.solid
     values = np.zeros(solid.shape)
-    values[solid] = 1 - density
+    values[solid] = of
     nearest = distance_transform_edt(~solid, return_distances=False, return_indices=True)
     filled = np.ascontiguousarray(values[tuple(nearest)].T)
-    return ImageLaw("porosity", "", "nearest", filled, shared.body.origin, shared.body.edges, 1.0)
+    return ImageLaw(name, "", "nearest", filled, shared.body.origin, shared.body.edges, 1.0)
