@@ -58,10 +58,13 @@ PAPER = (
 )  # fmt: skip
 """Configurations of the paper's figures and tables, in its order."""
 
+DESIGNS = tuple(f"designs/{name}" for name in ("implant_core", "insole", "filter", "damper", "light_panel"))
+"""Worked designs of docs/howto/which-numbers.md."""
+
 OTHERS: tuple[str, ...] = (
     "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "tables/network", "tables/spheres",
     "tables/walls_grid", "tables/struts", "tables/onset", "tables/volume", "tables/conduction",
-    "tables/stiffest_density", "how_random", "stiffest_grid",
+    "tables/stiffest_density", "how_random", "stiffest_grid", *DESIGNS,
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 

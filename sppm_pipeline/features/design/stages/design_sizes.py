@@ -36,6 +36,9 @@ Half of it takes about one more evaluation."""
 CORRECTIONS = 8
 """Most evaluations on the fine grid; cells took one to three, more only where a phase measures few voxels."""
 
+FAR = 0.7
+"""Logarithm of a ratio over that asked for, beyond which it is taken as this much off."""
+
 SCAN = 0.02
 """Step of the porosity with which the reachable range is looked for; it only decides how near the named ratio is."""
 
@@ -102,8 +105,9 @@ class Draws:
             else:
                 # ln r is nearly straight over the logit of the porosity
                 a, b = (math.log(p / (1 - p)) for p in (denser, lighter))
-                share = errors[denser] / (errors[denser] - errors[lighter])
-                share = min(max(share, 0.1), 0.9)  # one end that stays would slow the search down
+                # where walls vanish on the grid the logarithm says nothing, and would push all steps to the other end
+                above, below = min(errors[denser], FAR), max(errors[lighter], -FAR)
+                share = min(max(above / (above - below), 0.1), 0.9)  # one end that stays would slow the search down
                 at = 1 / (1 + math.exp(-(a + (b - a) * share)))
         return None
 
