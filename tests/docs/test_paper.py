@@ -43,7 +43,7 @@ def test_numbers_of_each_configuration_are_stored_and_no_others() -> None:
 def test_pictures_are_shown_and_small() -> None:
     shown = {
         generator.picture_of(name, panel)
-        for name in generator.PAPER
+        for name in generator.RUN
         for panel in generator.notes_of(name).get("panels", ())
     }
     files = {path.name: path.stat().st_size for path in generator.PICTURES.glob("*.png")}

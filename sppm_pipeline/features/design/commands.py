@@ -67,7 +67,7 @@ def _draw(path: Path, query: str, found: list[FoundDesign], candidates: Mapping[
     named = [name for name in PROPERTIES if name in names_in(query.replace(",", " "))]
     across, up = ([*named, *(name for name in ("E_relative", "permeability") if name not in named)])[:2]
     x, y = candidates[across], candidates[up]
-    figure = optional_module("matplotlib.figure").Figure(figsize=(7, 5), layout="constrained")
+    figure = optional_module("matplotlib.figure").Figure(figsize=(7, 6), layout="constrained")
     axes = figure.subplots()
     axes.loglog(x, y, ".", color="0.75", markersize=3, label="candidates that meet the conditions")
     order = np.argsort(-x, kind="stable")
@@ -75,9 +75,11 @@ def _draw(path: Path, query: str, found: list[FoundDesign], candidates: Mapping[
     axes.step(x[front], y[front], where="post", color="0.3", label="none has more of both")
     for number, one in enumerate(found, 1):
         (x_low, x_, x_high), (y_low, y_, y_high) = one.values[across], one.values[up]
-        axes.errorbar(x_, y_, [[y_ - y_low], [y_high - y_]], [[x_ - x_low], [x_high - x_]], fmt="o", capsize=2)
-        axes.annotate(f"{number} {one.family}", (x_, y_), (5, 5), textcoords="offset points")
+        bars = [[y_ - y_low], [y_high - y_]], [[x_ - x_low], [x_high - x_]]
+        label = f"{number} {one.family}, {one.total} pores"
+        axes.errorbar(x_, y_, *bars, fmt="o", markersize=10, capsize=2, label=label)
+        axes.annotate(str(number), (x_, y_), color="white", fontsize=7, ha="center", va="center_baseline")
     axes.set_xlabel(across)
     axes.set_ylabel(up)
-    axes.legend()
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)  # beside the points, which are close together
     figure.savefig(path, dpi=130)

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.length import CELL_UNIT, Length
 from sppm_pipeline.services.target_search import Search, search
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 VARY, LOW, HIGH = "stage and option that is varied, as id.option", "smallest value of the varied option", (
     "largest value of the varied option"
 )  # fmt: skip
+LENGTHS = "lengths"
 FIRST = "values that are tried before any is proposed"
 
 
@@ -27,6 +28,7 @@ class Varied(NamedTuple):
     name: str  # as messages call it
     places: tuple[tuple[str, str], ...]  # stages and options of the recipe where it stands
     value: Any  # what the recipe states
+    lengths: tuple[Length, ...] = ()  # those of the places, where `value` is their common factor
 
     @property
     def whole(self) -> bool:
@@ -59,13 +61,15 @@ def options_at(varied: Sequence[Varied], at: Sequence[float]) -> dict[str, dict[
     """Options of a recipe, by stage, in which the varied ones have other values."""
     found: dict[str, dict[str, Any]] = {}
     for one, number in zip(varied, at, strict=True):
-        for stage, name in one.places:
-            found.setdefault(stage, {})[name] = one.at(number)
+        values = [Length(number * a.value, a.unit) for a in one.lengths] or [one.at(number)] * len(one.places)
+        for (stage, name), value in zip(one.places, values, strict=True):
+            found.setdefault(stage, {})[name] = value
     return found
 
 
 def varied_option(recipe: Recipe, vary: str) -> Varied:
-    """The option that a user names: ``id.option``, ``recipe.id.option``, or an option of all stages that state it.
+    """The option that a user names: ``id.option``, ``recipe.id.option``, or an option of all stages that state it; or
+    `LENGTHS`, which are all lengths that the recipe states with a unit, by a common factor.
 
     Raises ConfigError if there is none, or stages state it differently.
     """
@@ -73,6 +77,13 @@ def varied_option(recipe: Recipe, vary: str) -> Varied:
     stage, _, name = vary.rpartition(".")
     if stage in known and name in known[stage]:
         return Varied(vary, ((stage, name),), known[stage][name])
+    if vary == LENGTHS:
+        sizes = {(id_, name): a for id_, values in known.items() for name, a in values.items() if _physical(a)}
+        if not sizes:
+            raise ConfigError(
+                f"the recipe {recipe.name!r} states no length with a unit", hint="give its cell a size, as `edge: 4 mm`"
+            )
+        return Varied(vary, tuple(sizes), 1.0, tuple(sizes.values()))
     if not stage:
         found = {id_: values[vary] for id_, values in known.items() if values.get(vary) is not None}
         if found and all(value == next(iter(found.values())) for value in found.values()):
@@ -84,6 +95,10 @@ def varied_option(recipe: Recipe, vary: str) -> Varied:
             )
     there = ", ".join(f"{i}.{name}" for i, values in known.items() for name in values)
     raise ConfigError(f"the recipe {recipe.name!r} has no option {vary!r}", hint=f"there are {there}")
+
+
+def _physical(value: Any) -> bool:
+    return isinstance(value, Length) and value.unit not in (None, CELL_UNIT)
 
 
 @dataclass(frozen=True, kw_only=True)

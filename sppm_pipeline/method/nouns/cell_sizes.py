@@ -28,11 +28,15 @@ class CellSizes(Report):
         Sizes at 5 and 95 % of the volume.
     strut_thinnest, pore_thinnest : float
         Sizes below which 1 % of the volume is.
-    strut_asked, pore_asked : float
+    strut_asked : float
+    pore_asked : float or None
+        None if a throat was asked for.
     draws : int
         Cells over which sizes are averaged.
     lay : {"scattered", "cells"}
         Rules that the design holds for: scattered pores are joined across cells and make other struts than cells do.
+    throat : float or None
+        Diameter of the largest ball that passes through the void, if it was asked for.
     """
 
     headline: ClassVar[tuple[str, ...]] = (
@@ -52,9 +56,10 @@ class CellSizes(Report):
     pore_high: float = field(metadata=number())
     pore_thinnest: float = field(metadata=number())
     strut_asked: float = field(metadata=number())
-    pore_asked: float = field(metadata=number())
+    pore_asked: float | None = field(metadata=number())
     draws: int = field(metadata=number())
     lay: str = field(default="scattered", metadata=TEXT)
+    throat: float | None = field(default=None, metadata=number(label="throat", unit="mm"))
 
     def check(self) -> None:
         """A length above 0 and a share between 0 and 1."""

@@ -28,8 +28,9 @@ class TuneProperty(Stage):
     The recipe makes a structure and measures it, as a pipeline would; the structure is what comes out. `of` names a
     number of its stages as columns of sweeps are named: ``flow.darcy_mean``, ``elastic.E.1``, ``sizes.solid.mean``.
     `vary` names the option: ``id.option``; ``recipe.id.option`` in a recipe that the recipe repeats; or an option
-    alone, which then changes in all stages that state it. Two numbers take two options: `of`, `target`, `vary`, `low`
-    and `high` are then lists of two.
+    alone, which then changes in all stages that state it; or ``lengths``, a common factor of all lengths that the
+    recipe states with a unit, at which shapes stay. Two numbers take two options: `of`, `target`, `vary`, `low` and
+    `high` are then lists of two.
 
     A few values are tried first; further ones are proposed until the number is within `accuracy` of its target. With
     more than one of `draws` the mean is tuned, over draws that are the same for all values; the summary holds the

@@ -57,10 +57,48 @@ def test_one_size_of_the_solid_is_given():
         DesignSizes(pore=Length(1, "mm")).check_options()
     with pytest.raises(ConfigError, match="both"):
         DesignSizes(pore=Length(1, "mm"), wall=Length(1, "mm"), strut=Length(1, "mm")).check_options()
+    for void in ({}, {"pore": Length(1, "mm"), "throat": Length(1, "mm")}):
+        with pytest.raises(ConfigError, match="either `pore` or `throat`"):
+            DesignSizes(strut=Length(1, "mm"), **void).check_options()
     with pytest.raises(SppmError, match="need a Microstructure"):
         sppm.design.sizes(
             pore="1 mm", strut="1 mm", recipe=[sppm.step.sample.mirrored_faces(total=20, share=0.5)], seed=1
         )
+
+
+def test_the_throat_of_crossing_channels_is_their_diameter():
+    """Channels along x, y and z of 0.3, and of 0.2 along z: what passes is the narrower ball."""
+
+    def channels(n, along_z):
+        x = (np.arange(n) + 0.5) / n - 0.47  # on no symmetry of the grid
+        x, y, z = np.meshgrid(x, x, x, indexing="ij")
+        depths = [0.15 - np.hypot(y, z), 0.15 - np.hypot(x, z), along_z - np.hypot(x, y)]
+        return np.max(depths, axis=0).astype(np.float32)
+
+    for along_z in (0.15, 0.1):
+        finer, fine, coarse = (channels(n, along_z) for n in (112, 56, 28))
+        cells = Draws([fine], [coarse], [finer])
+        assert cells.throat(float((finer >= 0).mean())) == pytest.approx(2 * along_z, rel=0.04)
+    blocked = np.where(np.arange(56)[:, None, None] < 10, np.float32(-1), channels(56, 0.15))
+    assert Draws([blocked], [blocked], [blocked]).throat(0.1) < 1e-5
+
+
+def test_a_throat_is_met():
+    found = sppm.design.sizes(throat="0.35 mm", strut="0.3 mm", **QUICK)
+    assert found.throat == pytest.approx(0.35, rel=0.01)
+    assert found.strut == pytest.approx(0.3, rel=0.01)
+    assert found.throat < found.pore
+    assert found.pore_asked is None
+
+
+def test_thin_walls_are_found_though_they_vanish_on_the_grid_at_first():
+    recipe = [
+        sppm.step.sample.hyperuniform(total=30), sppm.step.connect.mbdst(mode="greedy"),
+        sppm.step.field.walls(tunnel_radius=0.09),
+    ]  # fmt: skip
+    with pytest.warns(sppm.SppmWarning, match="voxels in the mean, too few"):
+        found = sppm.design.sizes(pore="3 mm", wall="0.5 mm", **{**QUICK, "recipe": recipe})
+    assert found.strut / found.pore == pytest.approx(0.5 / 3, rel=0.01)
 
 
 def test_options_of_a_tile_rule_come_before_a_design(small):

@@ -153,6 +153,15 @@ def test_nothing_and_everything(value):
     json.loads((context.directory / "print" / "report.json").read_text())
 
 
+def test_a_layer_without_void_over_a_void():
+    """A part that fills its image, as a panel with faces does: what the face closes is a trap."""
+    solid = np.ones((5, 6, 7), bool)
+    solid[1:3, 2:4, 2:5] = False
+    found = checked(solid)[0].reported
+    assert (found["traps"], found["cups"]) == (1, 0)
+    assert found["trap_mm3"] == pytest.approx(2 * 2 * 3 * VOXEL)
+
+
 def test_on_supports_the_void_below_is_open(vase):
     hollow = vase.copy()
     hollow[1:3, 4:6, 4:6] = False

@@ -9,6 +9,7 @@ import pytest
 
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError
+from sppm_pipeline.method.families.tuner import options_at, varied_option
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.stages.tune_property import TuneProperty
 from sppm_pipeline.nouns.length import Length
@@ -257,6 +258,29 @@ def test_a_real_cell_has_a_conductivity_and_a_surface(run_yaml, summary):
     # the last run of the recipe is that of the cell that comes out
     inner = {entry["id"]: entry["summary"] for entry in record["stages"][0]["inner"]}
     assert inner["cell.pores"]["k"][0][0] == said["reached"][0]
+
+
+def test_two_sizes_are_met_by_the_porosity_and_a_common_factor_of_all_lengths(run_yaml, summary):
+    """Sizes in mm follow the factor, and their ratio the porosity; shapes stay, so that radii over the cell do."""
+    text = REAL.replace("OPTIONS", (
+        "of: [sizes.strut.mean, sizes.pore.mean], target: [0.5, 1.5], accuracy: 0.02, first: 2, "
+        "vary: [porous.target, lengths], low: [0.5, 0.5], high: [0.8, 1.5]"
+    ))  # fmt: skip
+    text = text.replace("resolution: 12", "resolution: 24").replace("count: 9", "edge: 4 mm, count: 9")
+    record, _ = run_yaml(text)
+    said = summary(record, "tuned")
+    assert said["reached"] == pytest.approx([0.5, 1.5], rel=0.02)
+    assert 0.5 < said["value"][1] < 1.5
+
+
+def test_a_common_factor_scales_each_length_in_its_unit():
+    made = recipe_of(Make(gap=Length(3, "mm")), Make(gap=Length(40, "um")), Make(gap=Length(0.1)))
+    varied = varied_option(made, "lengths")
+    assert options_at([varied], [1.5]) == {
+        "field.plate": {"gap": Length(4.5, "mm")}, "field.plate#2": {"gap": Length(60, "um")}
+    }  # fmt: skip
+    with pytest.raises(ConfigError, match="states no length with a unit"):
+        varied_option(recipe_of(Make(gap=Length(0.1))), "lengths")
 
 
 def test_a_recipe_without_a_field_is_refused(run_yaml):

@@ -19,7 +19,7 @@ from sppm_pipeline.method.nouns.cell_sizes import CellSizes
 from sppm_pipeline.nouns.palette import Blocks, Palette
 from sppm_pipeline.services.arrays import F32
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.services.local_thickness import LimitSizes, limit_sizes, local_thickness
+from sppm_pipeline.services.local_thickness import LimitSizes, limit_sizes, local_thickness, squared_distance
 
 TORUS = (True, True, True)
 
@@ -33,8 +33,14 @@ CLOSE = 0.01
 """Relative error of the ratio at which the corrections end; each size gets half of it, a fifth of what a draw scatters.
 Half of it takes about one more evaluation."""
 
+THROAT_CLOSE = 0.04
+"""That which is taken in the end where throats are asked for: they go in steps of this size where they are 10 voxels."""
+
 CORRECTIONS = 8
 """Most evaluations on the fine grid; cells took one to three, more only where a phase measures few voxels."""
+
+MAX_STEP = 0.25
+"""Largest step of the porosity by the slope of the coarse grid, which is flat where walls vanish."""
 
 FAR = 0.7
 """Logarithm of a ratio over that asked for, beyond which it is taken as this much off."""
@@ -49,17 +55,27 @@ class Draws:
 
     fine: Sequence[F32]  # values (n, n, n) of periodic cells, solid below a level
     coarse: Sequence[F32]  # about half as many samples along an edge
+    finer: Sequence[F32] = ()  # twice as many as `fine`: the ratio is that of solid to throats, which need them
     known: dict[float, tuple[LimitSizes, ...]] = field(default_factory=dict)
 
     def coarse_ratio(self, porosity: float) -> float:
         """Ratio of solid to void on the coarse grid, within some percent, but quick: balls are a voxel too small."""
+        if self.finer:
+            (solid,) = (_thickness(phases) for phases in _phases(self.coarse, porosity)[:1])
+            return float(solid[solid > 0].mean(dtype=np.float64) + 1) / (_throat(self.fine, porosity) / 2 + 1)
         solid, void = (_thickness(phases) for phases in _phases(self.coarse, porosity))
         return float((solid[solid > 0].mean(dtype=np.float64) + 1) / (void[void > 0].mean(dtype=np.float64) + 1))
 
     def ratio(self, porosity: float) -> float:
         """Mean size of the solid over that of the void, in the limit of fine grids."""
         solid, void = self.sizes(porosity)
-        return solid.mean / void.mean
+        return solid.mean / (self.throat(porosity) if self.finer else void.mean)
+
+    def throat(self, porosity: float) -> float:
+        """Mean over draws of the diameter of the largest ball that passes through the void, in cell sizes, in the limit
+        of fine grids."""
+        found = [_throat(values, porosity) / values[0].shape[0] for values in (self.finer, self.fine)]
+        return max(2 * found[0] - found[1], 1e-6)
 
     def sizes(self, porosity: float) -> tuple[LimitSizes, ...]:
         """Sizes of solid and void in the limit of fine grids, in cell sizes."""
@@ -89,19 +105,21 @@ class Draws:
         if start is None:
             return None
         # near the start both grids have nearly the same relative slope
-        low, high = max(start - 0.02, POROSITIES[0]), min(start + 0.02, POROSITIES[1])
+        width = 0.06 if self.finer else 0.02  # throats go in steps of voxels
+        low, high = max(start - width, POROSITIES[0]), min(start + width, POROSITIES[1])
         slope = math.log(self.coarse_ratio(high) / self.coarse_ratio(low)) / (high - low)
         errors: dict[float, float] = {}
         at = start
         while len(errors) < CORRECTIONS and at not in errors:
-            errors[at] = math.log(self.ratio(at) / ratio)
+            errors[at] = math.log(max(self.ratio(at), 1e-9) / ratio)  # walls of a voxel are extrapolated to nothing
             if abs(errors[at]) < CLOSE:
                 return at
             # the ratio falls: too large a one needs more porosity
             denser = max((p for p in errors if errors[p] > 0), default=None)
             lighter = min((p for p in errors if errors[p] <= 0), default=None)
             if denser is None or lighter is None:
-                at = min(max(at - errors[at] / slope, POROSITIES[0]), POROSITIES[1])
+                step = min(max(-errors[at] / slope, -MAX_STEP), MAX_STEP)
+                at = min(max(at + step, POROSITIES[0]), POROSITIES[1])
             else:
                 # ln r is nearly straight over the logit of the porosity
                 a, b = (math.log(p / (1 - p)) for p in (denser, lighter))
@@ -109,7 +127,8 @@ class Draws:
                 above, below = min(errors[denser], FAR), max(errors[lighter], -FAR)
                 share = min(max(above / (above - below), 0.1), 0.9)  # one end that stays would slow the search down
                 at = 1 / (1 + math.exp(-(a + (b - a) * share)))
-        return None
+        best = min(errors, key=lambda p: abs(errors[p]))
+        return best if self.finer and abs(errors[best]) < THROAT_CLOSE else None
 
     def _bisected(self, ratio: float) -> float | None:
         low, high = POROSITIES
@@ -151,8 +170,28 @@ def _thickness(phases: Sequence[NDArray[np.uint8]]) -> F32:
     return np.concatenate([local_thickness(phase, TORUS) for phase in phases])
 
 
+def _throat(values: Sequence[F32], porosity: float) -> float:
+    """Mean over draws of the diameter, in voxels, of the largest ball whose center runs through the void along x, y and
+    z; 0 for a void that does not run through."""
+    found = []
+    for phase in _phases(values, porosity)[1]:
+        squared = squared_distance(phase, TORUS)
+        steps = np.unique(squared)
+        low, high = 0, len(steps)  # at `low` it passes, as 0 is everywhere
+        while high - low > 1:
+            middle = (low + high) // 2
+            open_ = find_components(squared >= steps[middle], TORUS)
+            passes = any(all(wraps) for wraps in open_.wraps)
+            low, high = (middle, high) if passes else (low, middle)
+        found.append(2 * math.sqrt(float(steps[low])) - 1 if low else 0.0)
+    return float(np.mean(found))
+
+
 MIN_VOXELS_ACROSS = 5
 """Voxels that a mean size should measure: below, the extrapolation from two grids was off by 5 % for walls."""
+
+PORE_OVER_THROAT = 1.3
+"""Mean size of pores over the throat, by which estimates know the cell."""
 
 SIZES_OF_CELL = 1.8
 """Strut and pore together over the mean distance of pores, by which estimates know the cell: that of the preset `paper`
@@ -174,14 +213,21 @@ class DesignSizes(Stage):
     The `tile` stages after it take the cell size and the porosity where their options `cell` and `porosity` are
     omitted. The sizes then hold in the mean over a part: single cells scatter by some percent. Scattered pores are
     joined across cells, which makes other struts than in cells with faces, so that `lay` says which; a rule that lays
-    otherwise refuses the design. Ratios at which the solid or the void breaks into pieces are refused, with the nearest
-    one that can be had.
+    otherwise refuses the design.
+
+    With `throat` in place of `pore`, what is asked for is the diameter of the largest ball that passes through the void
+    along x, y and z: what a filter lets through, or through which powder leaves. Ratios at which the solid or the void
+    breaks into pieces are refused, with the nearest one that can be had.
     """
 
     name: ClassVar[str] = "design.sizes"
     advice: ClassVar[str] = "lower `resolution` or `draws`"
 
-    pore: Length = option(help="mean size of the pores", unit="mm", minimum=1e-4, maximum=1e4)
+    pore: Length | None = option(None, help="mean size of the pores", unit="mm", minimum=1e-4, maximum=1e4)
+    throat: Length | None = option(
+        None, help="diameter of the largest ball that passes through the void, in place of `pore`", unit="mm",
+        minimum=1e-4, maximum=1e4,
+    )  # fmt: skip
     strut: Length | None = option(None, help="mean size of the struts", unit="mm", minimum=1e-4, maximum=1e4)
     wall: Length | None = option(
         None, help="mean thickness of the walls, for recipes such as `stiff` that make walls instead of struts",
@@ -200,7 +246,13 @@ class DesignSizes(Stage):
         return "check.sizes"
 
     def check_options(self) -> None:
-        """One of `strut` and `wall`, and lengths in mm."""
+        """One of `strut` and `wall`, and one of `pore` and `throat`."""
+        if (self.pore is None) == (self.throat is None):
+            raise ConfigError(
+                "the size of the void is either `pore` or `throat`; "
+                f"{'neither is' if self.pore is None else 'both are'} given",
+                hint="give one of them, for example `pore: 0.6 mm`",
+            )  # fmt: skip
         if (self.strut is None) == (self.wall is None):
             raise ConfigError(
                 "the size of the solid is either `strut` or `wall`; "
@@ -215,10 +267,17 @@ class DesignSizes(Stage):
         assert size is not None  # `check_options`
         return size
 
+    @property
+    def void(self) -> Length:
+        """The size asked for of pores or throats."""
+        size = self.pore if self.pore is not None else self.throat
+        assert size is not None  # `check_options`
+        return size
+
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         made = recipe(palette, self.draws)
         grid = made.grid(self.resolution)
-        strut, pore = self.solid.mm(), self.pore.mm()
+        strut, pore = self.solid.mm(), self.void.mm() * (1 if self.throat is None else PORE_OVER_THROAT)
         # r = 0.95 ((1 - porosity) / porosity)^0.55 fits the preset `paper` within 10 %
         porosity = 1 / (1 + (strut / pore / 0.95) ** (1 / 0.55))
         edge = (strut + pore) * made.cell.pores ** (1 / 3) / SIZES_OF_CELL
@@ -232,11 +291,11 @@ class DesignSizes(Stage):
 
     def run(self, context: Context, recipe: Recipe) -> CellSizes:
         """Draw the cells, find the porosity, scale."""
-        strut, pore = self.solid.mm(), self.pore.mm()
+        strut, pore = self.solid.mm(), self.void.mm()
         fields = [self._drawn(context, recipe, draw) for draw in range(self.draws)]
         n = self.resolution
         fine, coarse = ([_sampled(context, one, edge) for one in fields] for edge in (n, n // 2))
-        cells = Draws(fine, coarse)
+        cells = Draws(fine, coarse, [_sampled(context, one, 2 * n) for one in fields] if self.throat else ())
         porosity = cells.porosity_for(strut / pore)
         if porosity is None or not cells.connected(porosity):
             raise self._unreachable(context, recipe, cells)
@@ -248,9 +307,11 @@ class DesignSizes(Stage):
                 f"too few for sizes within 5 %: give `resolution: {math.ceil(MIN_VOXELS_ACROSS / thinner) + 1}`"
             )
         # what is left of the ratio's error is shared by both sizes
-        edge = math.sqrt(strut * pore / (solid.mean * void.mean))
+        throat = cells.throat(porosity) if self.throat else None
+        edge = math.sqrt(strut * pore / (solid.mean * (throat or void.mean)))
         return CellSizes(
-            edge_mm=edge, porosity=porosity, draws=self.draws, strut_asked=strut, pore_asked=pore,
+            edge_mm=edge, porosity=porosity, draws=self.draws, strut_asked=strut,
+            pore_asked=None if throat else pore, throat=edge * throat if throat else None,
             strut=edge * solid.mean, strut_deviation=edge * solid.deviation, strut_low=edge * solid.low,
             strut_high=edge * solid.high, strut_thinnest=edge * solid.thinnest,
             pore=edge * void.mean, pore_deviation=edge * void.deviation, pore_low=edge * void.low,
@@ -282,7 +343,8 @@ class DesignSizes(Stage):
 
     def _unreachable(self, context: Context, recipe: Recipe, cells: Draws) -> DesignError:
         """The error that names the nearest ratio."""
-        strut, pore, word = self.solid.mm(), self.pore.mm(), "strut" if self.strut is not None else "wall"
+        strut, pore, word = self.solid.mm(), self.void.mm(), "strut" if self.strut is not None else "wall"
+        other = "pore" if self.throat is None else "throat"
         ratio = strut / pore
         ends = cells.reachable(lambda done, all_: context.progress(done, all_, "ends of the range"))
         if ends is None:
@@ -295,10 +357,10 @@ class DesignSizes(Stage):
         if nearest == ratio:  # inside of the range, but a draw is in pieces there, or the ratio jumps
             nearest = low if ratio - low < high - ratio else high
         return DesignError(
-            f"{word} over pore {ratio:.3g} is out of reach of the recipe {recipe.name!r}: its solid and void both run "
-            f"through from {low:.3g} to {high:.3g}",
-            hint=f"nearest are `{word}: {nearest * pore:.3g} mm` with this pore, and `pore: {strut / nearest:.3g} mm` "
-            f"with this {word}; another recipe has other limits",
+            f"{word} over {other} {ratio:.3g} is out of reach of the recipe {recipe.name!r}: its solid and void both "
+            f"run through from {low:.3g} to {high:.3g}",
+            hint=f"nearest are `{word}: {nearest * pore:.3g} mm` with this {other}, and "
+            f"`{other}: {strut / nearest:.3g} mm` with this {word}; another recipe has other limits",
         )
 
 

@@ -66,8 +66,10 @@ class _Remembered:
             return
         old = self.fate[alive]
         new = void.successor[old]
-        ended = np.where(was_on_plate[old], _OPENED, _TRAPPED)
-        self.fate[alive] = np.where(new < 0, ended, np.where(void.grounded[np.maximum(new, 0)], _OPENED, new))
+        fate = np.where(was_on_plate[old], _OPENED, _TRAPPED)
+        goes_on = new >= 0  # nothing does below a layer that is all solid
+        fate[goes_on] = np.where(void.grounded[new[goes_on]], _OPENED, new[goes_on])
+        self.fate[alive] = fate
 
     def painted(self) -> U8:
         _, ny, nx = self.solid.shape
