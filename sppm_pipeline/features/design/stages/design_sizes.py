@@ -34,7 +34,7 @@ CLOSE = 0.01
 Half of it takes about one more evaluation."""
 
 THROAT_CLOSE = 0.04
-"""That which is taken in the end where throats are asked for: they go in steps of this size where they are 10 voxels."""
+"""That which is taken in the end where throats are asked for: ten voxels go in steps of this size."""
 
 CORRECTIONS = 8
 """Most evaluations on the fine grid; cells took one to three, more only where a phase measures few voxels."""
