@@ -75,7 +75,7 @@ class Draws:
         """Mean over draws of the diameter of the largest ball that passes through the void, in cell sizes, in the limit
         of fine grids."""
         found = [_throat(values, porosity) / values[0].shape[0] for values in (self.finer, self.fine)]
-        return max(2 * found[0] - found[1], 1e-6)
+        return float(max(2 * found[0] - found[1], 1e-6))
 
     def sizes(self, porosity: float) -> tuple[LimitSizes, ...]:
         """Sizes of solid and void in the limit of fine grids, in cell sizes."""
