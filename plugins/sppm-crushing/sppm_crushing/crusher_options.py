@@ -13,6 +13,12 @@ from sppm_pipeline.numerics import per_phase
 if TYPE_CHECKING:
     from sppm_crushing.numerics.material import Material
 
+
+def least_strain(default: float, *, note: str, minimum: float) -> Any:
+    """The declaration of an option that all these stages have."""
+    return option(default, help=f"strain that must be reached; {note}", minimum=minimum, maximum=0.8)
+
+
 Table = tuple[tuple[float, float], ...]
 """Pairs of plastic strain and yield stress."""
 
@@ -26,7 +32,7 @@ class CrusherOptions(Stage):
     resolution: int = options.resolution(24, note="of fields; images keep theirs", maximum=256)
     axis: str = options.axis("z")
     strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
-    least_strain: float = options.least_strain(
+    least_strain: float = least_strain(
         0.2, note="a run that fails earlier is an error, later a warning and a curve that ends there", minimum=0.01,
     )  # fmt: skip
     rate: float | str | None = option(

@@ -63,7 +63,6 @@ colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
 target = _shared("target value", above=0)
 trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
-least_strain = _shared("strain that must be reached", maximum=0.8)
 accuracy = _shared("largest relative error of what is tuned", above=0, below=0.5)
 draws = _shared("number of independent draws", minimum=1)
 evaluations: Callable[..., Any] = _shared("maximum number of evaluations", minimum=3, maximum=1000)
@@ -75,10 +74,6 @@ residual = _shared("relative residual at which the solver stops", minimum=1e-14,
 young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
 poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
 stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
-
-# curves of compression
-plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
-energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=1)
 
 threshold = _shared("gray value from which on a voxel is solid", minimum=-1e15, maximum=1e15)
 

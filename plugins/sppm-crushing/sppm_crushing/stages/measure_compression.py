@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sppm_crushing.compression import CompressionCurve
 from sppm_crushing.numerics.compression import Measure, Specimen, measures, work_ratio
-from sppm_pipeline import ConfigError, Context, DesignError, Headline, Palette, Size, Stage, Table, option, options
+from sppm_pipeline import ConfigError, Context, DesignError, Headline, Palette, Size, Stage, Table, option
+
+
+def plateau_window() -> Any:
+    """The declaration of the option `plateau`."""
+    return option((0.2, 0.4), help="strains between which the plateau stress is taken", minimum=0, maximum=1)
+
+
+def energy_end() -> Any:
+    """The declaration of the option `energy_to`."""
+    return option(0.5, help="strain up to which energy is taken", minimum=0.01, maximum=1)
+
 
 NUMBERS = (
     "plateau_stress", "plateau_end", "energy_to_strain", "energy_efficiency_to_strain", "energy_to_plateau_end",
@@ -37,8 +48,8 @@ class MeasureCompression(Stage):
         Headline("gradient", "gradient", "{unit}"),
     )
 
-    plateau: tuple[float, float] = options.plateau((0.2, 0.4))
-    energy_to: float = options.energy_to(0.5)
+    plateau: tuple[float, float] = plateau_window()
+    energy_to: float = energy_end()
     published: tuple[float, float, float] | None = option(
         None,
         help="yield strength (MPa), effective displacement (mm) and energy (J) that a paper states of this specimen; "

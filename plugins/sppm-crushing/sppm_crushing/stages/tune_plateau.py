@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from sppm_crushing.crusher import Crusher
+from sppm_crushing.crusher_options import least_strain
 from sppm_pipeline import Context, Headline, Palette, Recipe, RecipeSize, ScalarField, Size, Tuner, option, options
 
 
@@ -26,7 +27,7 @@ class TunePlateau(Crusher, Tuner):
     )  # fmt: skip
 
     strain: float = option(0.4, help="strain at the end", minimum=0.4, maximum=0.8)
-    least_strain: float = options.least_strain(0.4, note="by every block", minimum=0.4)
+    least_strain: float = least_strain(0.4, note="by every block", minimum=0.4)
     target: float = options.target(note="plateau stress, in the unit of `young`", maximum=1e15)
     accuracy: float = options.accuracy(0.05, note="the plateau stress")
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sppm_crushing.compression import CompressionCurve
 from sppm_crushing.numerics.compression import Specimen, efficiency, loading, mean_and_spread, percent
-from sppm_crushing.stages.measure_compression import check_plateau, measured
+from sppm_crushing.stages.measure_compression import check_plateau, energy_end, measured, plateau_window
 from sppm_pipeline import Context, DesignError, Stage, option, options
 from sppm_pipeline.pictures import CHART_COLORS as COLORS
 from sppm_pipeline.pictures import figure_file, plain_text, styled
@@ -125,8 +125,8 @@ class WriteCurves(Stage):
         "curves.csv", help="CSV file of the numbers; none if null", output=True, suffixes=(".csv",)
     )
     measures: bool = option(False, help="mark plateau stress, first maximum, plateau end and densification strain")
-    plateau: tuple[float, float] = options.plateau((0.2, 0.4))
-    energy_to: float = options.energy_to(0.5)
+    plateau: tuple[float, float] = plateau_window()
+    energy_to: float = energy_end()
     title: str = options.title("", note="above the chart")
 
     def check_options(self) -> None:
