@@ -186,6 +186,9 @@ def test_lattice_points_in_a_pipeline(tmp_path: Path, root: Path) -> None:
     assert summary(record, "connect.mst")["tunnels"] == 63
     assert summary(record, "check.connectivity")["void_components"] == 1
     assert "sppm-lattice-points" in json.dumps(record["plugins"])
+    # a report repeats stages of plugins that are installed, but none that a run brings along
+    assert main(["report", str(tmp_path / "run")]) == 0
+    assert 'id="live-canvas"' in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
 def test_samplers_serve_tile_sets_with_pores_on_faces(tmp_path: Path) -> None:

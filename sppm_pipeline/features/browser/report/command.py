@@ -241,7 +241,7 @@ def of_run(
         cache = cache_of(args)
         store = open_store(cache) if cache is not None else None
         outputs = outputs_of(path, record.get("stages", ()))
-        again = request if plugins else replace(request, plugins=(), distributions=False)
+        again = request if plugins else replace(request, plugins=(), allowed=_distributions(request.allowed))
         found = live_view(
             path, record, outputs, again, store=store, threads=threads, remake=remake, most=room_of_view(most),
             kept=kept,
@@ -258,6 +258,13 @@ def of_run(
         path, record, view=found[0], note=found[1], max_bytes=most, threads=threads, plugins=known, views=rows
     )
     write_whole(target, text, durable=False)
+
+
+def _distributions(allowed: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of installed plugins that may be imported, without files that a configuration names."""
+    from sppm_pipeline.engine.plan.plugins import installed_plugins
+
+    return tuple(plugin.name for plugin, _ in installed_plugins(allowed))
 
 
 def _plugins_of(request: RunRequest, own: bool) -> Plugins:
