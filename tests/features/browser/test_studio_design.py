@@ -380,12 +380,25 @@ def test_nonsense_over_the_wire_is_refused(server):
         (b'{"anyway": true}', {}, 400),
         (b"[]", {}, 400),
         (b'{"changes": {"params.pores"', {}, 400),
+        (rb'{"changes": {"params.pores": "\ud800"}}', {}, 422),
+        (b'{"changes": {"params.pores": %s}}' % (b"[" * 500 + b"]" * 500), {}, 422),
         (b'{"changes": {}}', {"Content-Length": "40"}, 400),
         (b"{}", {"Content-Length": "1" * 5000}, 413),
         (b"{}", {"Content-Length": "-2"}, 411),
         (b"{}", {"Content-Length": "two"}, 411),
     ],
-    ids=["list", "none", "list alone", "cut short", "shorter than stated", "long number", "negative", "word"],
+    ids=[
+        "list",
+        "none",
+        "list alone",
+        "cut short",
+        "half a character",
+        "deep",
+        "shorter than stated",
+        "long number",
+        "negative",
+        "word",
+    ],
 )
 def test_a_broken_request_saves_nothing(tmp_path, body, headers, status, capsys):
     file = tmp_path / "mine.yaml"

@@ -128,6 +128,7 @@ class Design:
         for key in changes:
             if key not in keys:
                 raise ConfigError(f"nothing called {key!r} can be changed here")
+        compose(changes, "changes")  # what no file can hold, such as half a character, has no place in a text either
         same = {key for key, value in changes.items() if value is None and not keys[key].written}
         return with_values(self.text, {key: value for key, value in changes.items() if key not in same})
 
