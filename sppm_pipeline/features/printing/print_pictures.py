@@ -1,4 +1,4 @@
-"""Pictures of a check before printing: layers in the colors of what is wrong with them, and curves over the height."""
+"""Pictures of prints, drawn without matplotlib: layers in the colors of what is wrong with them, turns, and drains."""
 
 from __future__ import annotations
 
@@ -67,35 +67,6 @@ def marked_sheet(
         pen.text((x + 26, 23), word, fill=(52, 58, 66), font=font(15), anchor="lm")
         x += 26 + int(font(15).getlength(word)) + 26
     return np.concatenate([np.asarray(legend), sheet])
-
-
-def curves_chart(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Area, cups, islands and overhang of each layer over its height, as PNG; layers without any are left out."""
-    from sppm_pipeline.services.pictures.charts import Series, chart
-
-    shown = (
-        ("area_mm2", "solid", "#000000"),
-        ("overhang_mm2", "overhang", "#888888"),
-        ("sealed_mm2", "sealed (cups, traps)", "#0072b2"),
-        ("floating_mm2", "not on the plate yet", "#e69f00"),
-    )
-    series = [
-        Series(columns["top_mm"], columns[name], label, "line", color=color)
-        for name, label, color in shown
-        if (columns[name] > 0).any()
-    ]
-    return chart(
-        series, "layers.png", x_label="height (mm)", y_label="area of the layer (mm²)", log_y=True, size=(7.5, 3.6)
-    )
-
-
-def throats_chart(rows: Sequence[Mapping[str, float]]) -> bytes:
-    """Room of balls that can't leave over their diameter, as PNG."""
-    from sppm_pipeline.services.pictures.charts import Series, chart
-
-    x, y = ([row[name] for row in rows] for name in ("diameter_mm", "undrained_mm3"))
-    series = [Series(x, y, kind="line", color="#0072b2"), Series(x, y, color="#0072b2")]
-    return chart(series, "throats.png", x_label="throat (mm)", y_label="centers of balls that can't leave (mm³)")
 
 
 def orientations_sheet(rows: Sequence[Mapping[str, Any]], views: Sequence[F64], voxel: float) -> U8:

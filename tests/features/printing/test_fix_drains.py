@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
+from benchmarks.drains import FAMILIES, drawing, mesh_of, outcome
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.features.printing.numerics.routes import find_traps
+from sppm_pipeline.features.printing.numerics.routes import find_traps, mesh_features
 from sppm_pipeline.features.printing.stages.fix_drains import FixDrains
 from sppm_pipeline.method.connectivity.components import find_components
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
@@ -186,3 +187,38 @@ def test_a_part_that_is_all_edges_says_so(wang_tiling):
     made, context = fixed(shell(wang_tiling, "box", 0.6), clear=Length(4, "mm"))
     assert made.drains == ()
     assert "lower `clear`" in context.warnings[0]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_hole_of_a_drawing_is_found(family):
+    """Bores in slivers that Booleans leave, that cross each other, or that have a cone at their mouth, were not."""
+    for seed in range(3):
+        made = drawing(family, seed)
+        mesh = mesh_of(made.body)
+        found = mesh_features(mesh.vertices, mesh.faces).holes
+
+        def area_on(hole, triangles):
+            along = (hole.b - hole.a) / np.linalg.norm(hole.b - hole.a)
+            way = triangles.mean(1) - hole.a
+            at = way @ along
+            near = np.abs(np.linalg.norm(way - np.outer(at, along), axis=1) - hole.radii[0]) < 0.05
+            near &= (at > -0.1) & (at < np.linalg.norm(hole.b - hole.a) + 0.1)
+            sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+            return np.linalg.norm(sides[near], axis=1).sum() / 2
+
+        triangles = mesh.vertices[mesh.faces]
+        bores = [hole for hole in made.holes if hole.radii[0] == hole.radii[1]]
+        assert bores
+        for hole in bores:
+            assert area_on(hole, found) > 0.95 * area_on(hole, triangles) > 0
+        outside = triangles[(triangles[..., 2] < mesh.lower[2] + 1e-6).all(1)]  # the underside is none
+        assert not (found[..., 2] < mesh.lower[2] + 1e-6).all(1).any() or not len(outside)
+
+
+@pytest.mark.parametrize(("family", "seed"), [("lug", 3), ("tee", 1), ("shaft", 0)])
+def test_drains_of_drawings(family, seed):
+    """Parts of benchmarks/drains.py; drains of the first and the last once began in the wall of a hole."""
+    found = outcome(drawing(family, seed), bool(seed % 2))
+    assert found.drains
+    assert min(found.hole, found.edge, found.plate) > 0.99
+    assert found.left == 0

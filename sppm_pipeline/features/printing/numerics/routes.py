@@ -13,6 +13,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.method.connectivity.components import find_components, paint_runs
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
@@ -34,8 +35,19 @@ Between facets of cylinders of 12 or more faces (30 degrees and less) and chamfe
 do not count, at half of it coarse cylinders are all edges.
 """
 
-FLAT_ANGLE = 1.5
-"""Degrees below which two triangles are in one plane; cylinders of up to 240 faces bend more."""
+FLAT_ANGLE = 0.5
+"""Degrees below which two triangles are in one plane; cylinders of up to 720 faces bend more."""
+
+TIP_ANGLE = 20.0
+"""Degrees between triangles of one surface where it meets others at less than `SHARP_ANGLE`, such as a bore the cone at
+its mouth. Cylinders of 18 faces and more bend less."""
+
+MOST_BESIDE = 12
+"""Facets that bend away from one; a facet of a cylinder has two to four, the floor of a bore as many as that."""
+
+THIN, THIN_ROUNDS = 1e-5, 8
+"""Height of a triangle, over the size of the mesh, up to which its normal is taken from a neighbor, a heuristic, and
+how many such triangles may lie side by side. Coordinates of 32 bits leave such slivers, and so do Booleans."""
 
 CYLINDER_SPREAD = 0.02
 """Variance of the normals of a cylinder or cone along its axis; that of a ball is a third."""
@@ -66,36 +78,64 @@ def mesh_features(vertices: F64, faces: I32) -> Features:
     paired = opposite >= 0
     theirs = np.where(paired, opposite // 3, mine)
     along = points[end] - points[start]
+    # the normal of a triangle without a height is noise: it has that of a triangle beyond its longer edges
+    lengths = np.linalg.norm(along, axis=1).reshape(-1, 3)
+    ranks = 3 * np.arange(len(faces))[:, None] + np.argsort(-lengths, axis=1, kind="stable")
+    known = twice > THIN * np.ptp(points, axis=0).max(initial=0.0) * lengths.max(1, initial=0.0)
+    for rank in (0, 1) * THIN_ROUNDS:
+        beyond = theirs[ranks[:, rank]]
+        taken = ~known & known[beyond]
+        units[taken] = units[beyond[taken]]
+        known |= taken
     cross = np.cross(units[mine], units[theirs])
     angle = np.degrees(np.arctan2(np.linalg.norm(cross, axis=1), (units[mine] * units[theirs]).sum(1)))
-    whole = (twice[mine] > 0) & (twice[theirs] > 0)
-    sharp = ~paired | (whole & (angle > SHARP_ANGLE))
-    sharp &= ~paired | (half < opposite)
+    whole = paired & known[mine] & known[theirs]
+    sharp = (~paired | (whole & (angle > SHARP_ANGLE))) & (~paired | (half < opposite))
     edges = np.stack([points[start[sharp]], points[end[sharp]], points[end[sharp]]], axis=1)
-    bent = paired & whole & (angle > FLAT_ANGLE) & (angle <= SHARP_ANGLE) & ((cross * along).sum(1) < 0)
-    # concave triangles that meet in an edge which is not sharp belong together, flat pairs of them included
-    concave = np.zeros(len(faces), np.bool_)
-    concave[mine[bent]] = True
-    joined = paired & whole & (angle <= SHARP_ANGLE) & concave[mine] & concave[theirs]
-    links = np.stack([mine, theirs, theirs], axis=1)[joined]
-    count, of_link = components(links)
-    label = np.full(len(faces), -1)
-    label[links[:, 0]] = of_link
-    chosen = label >= 0
-    weights = np.bincount(label[chosen], twice[chosen], count)
-    sums = np.stack([np.bincount(label[chosen], normals[chosen, a], count) for a in range(3)], axis=1)
-    means = sums / np.maximum(weights, 1e-300)[:, None]
-    spreads = np.empty((count, 3, 3))
-    for a in range(3):
-        for b in range(3):
-            products = twice[chosen] * units[chosen, a] * units[chosen, b]
-            spreads[:, a, b] = np.bincount(label[chosen], products, count) / np.maximum(weights, 1e-300)
-    # The normals of a cylinder lie in a plane through the origin, those of a cone in one beside it: no variance along
-    # the axis. The mean of a quarter of a circle has the length 0.90, that of a third 0.83, of a half 0.64, of all 0.
-    spreads -= means[:, :, None] * means[:, None, :]
-    least = np.linalg.eigvalsh(spreads)[:, 0] if count else np.empty(0)
-    is_hole = (least < CYLINDER_SPREAD) & (np.linalg.norm(means, axis=1) < QUARTER_TURN)
-    return Features(edges, corners[chosen][is_hole[label[chosen]]])
+    flat = whole & (angle <= FLAT_ANGLE)
+    facet = _grouped(len(faces), mine[flat], theirs[flat])
+    bent = whole & (angle > FLAT_ANGLE) & ((cross * along).sum(1) < 0)
+    areas = np.bincount(facet, twice)
+    in_hole = np.zeros(len(faces), np.bool_)
+    for largest, outwards in ((SHARP_ANGLE, True), (TIP_ANGLE, True), (SHARP_ANGLE, False)):
+        chosen = bent & (angle <= largest)
+        pairs = np.unique(np.sort(np.stack([facet[mine[chosen]], facet[theirs[chosen]]], axis=1), axis=1), axis=0)
+        beside = np.bincount(pairs.ravel(), minlength=len(areas))
+        # a plane that runs out into a fillet is no part of it, nor is the floor of a bore with a round corner
+        plane = (beside[pairs] == 1) & (areas[pairs] > 2 * areas[pairs[:, ::-1]]) | (beside[pairs] > MOST_BESIDE)
+        concave = np.zeros(len(areas), np.bool_)
+        concave[pairs[~plane.any(1)]] = True
+        joined = whole & concave[facet[mine]] & concave[facet[theirs]] & (angle <= largest)
+        if not outwards:
+            joined &= flat | bent
+        group = _grouped(len(areas), facet[mine[joined]], facet[theirs[joined]])[facet]
+        # The normals of a cylinder lie in a plane through the origin, those of a cone in one beside it: no variance
+        # along the axis. The mean of a quarter of a circle has the length 0.90, that of a third 0.83, of a half 0.64,
+        # of all 0.
+        weights = np.maximum(np.bincount(group, twice), 1e-300)
+        means = np.stack([np.bincount(group, twice * units[:, i]) for i in range(3)], axis=1) / weights[:, None]
+        products = (twice * units[:, i] * units[:, j] for i in range(3) for j in range(3))
+        spreads = np.stack([np.bincount(group, product) for product in products], axis=1) / weights[:, None]
+        least, axes = np.linalg.eigh(spreads.reshape(-1, 3, 3) - means[:, :, None] * means[:, None, :])
+        is_hole = (least[:, 0] < CYLINDER_SPREAD) & (np.linalg.norm(means, axis=1) < QUARTER_TURN)
+        if not outwards:
+            # bores that cross meet in edges that bend outwards; so do the bands around the inside of a ring, which are
+            # shorter than half of their radius
+            places = corners @ axes[group]
+            low, high = np.full((2, len(weights), 3), np.inf)
+            np.minimum.at(low, group, places.min(1))
+            np.minimum.at(high, group, -places.max(1))
+            spans = -(high + low)
+            is_hole &= spans[:, 0] > spans.max(1) / 4
+        in_hole |= concave[facet] & is_hole[group]
+    return Features(edges, corners[in_hole])
+
+
+def _grouped(count: int, one: NDArray[np.integer], other: NDArray[np.integer]) -> I32:
+    """Number of the group of each of `count` things, where each of `one` belongs to that of `other`."""
+    each = np.arange(count)
+    first, second = np.concatenate([each, one]), np.concatenate([each, other])
+    return components(np.stack([first, second, second], axis=1))[1][:count]
 
 
 class Candidates(NamedTuple):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, Headline, Length, Rejected, SliceStack, Stage, option, options
-from sppm_pipeline.features.printing.print_pictures import curves_chart, marked_layer, marked_sheet, throats_chart
+from sppm_pipeline.features.printing.print_pictures import marked_layer, marked_sheet
 from sppm_pipeline.features.printing.print_report import PrintReport, parse_rule, rounded, trapped
 from sppm_pipeline.features.printing.printer_writer import Job
 from sppm_pipeline.method.nouns.printer import Resin, cards
@@ -42,6 +44,35 @@ MAX_BLOCKS = 2**26
 
 SOLID_FROM = 128
 """Gray values from here on count as solid: half of the pixel is covered."""
+
+
+def curves_chart(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Area, cups, islands and overhang of each layer over its height, as PNG; layers without any are left out."""
+    from sppm_pipeline.services.pictures.charts import Series, chart
+
+    shown = (
+        ("area_mm2", "solid", "#000000"),
+        ("overhang_mm2", "overhang", "#888888"),
+        ("sealed_mm2", "sealed (cups, traps)", "#0072b2"),
+        ("floating_mm2", "not on the plate yet", "#e69f00"),
+    )
+    series = [
+        Series(columns["top_mm"], columns[name], label, "line", color=color)
+        for name, label, color in shown
+        if (columns[name] > 0).any()
+    ]
+    return chart(
+        series, "layers.png", x_label="height (mm)", y_label="area of the layer (mm²)", log_y=True, size=(7.5, 3.6)
+    )
+
+
+def throats_chart(rows: Sequence[Mapping[str, float]]) -> bytes:
+    """Room of balls that can't leave over their diameter, as PNG."""
+    from sppm_pipeline.services.pictures.charts import Series, chart
+
+    x, y = ([row[name] for row in rows] for name in ("diameter_mm", "undrained_mm3"))
+    series = [Series(x, y, kind="line", color="#0072b2"), Series(x, y, color="#0072b2")]
+    return chart(series, "throats.png", x_label="throat (mm)", y_label="centers of balls that can't leave (mm³)")
 
 
 @dataclass(frozen=True, kw_only=True)

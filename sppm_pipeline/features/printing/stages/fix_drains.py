@@ -63,7 +63,6 @@ class FixDrains(Stage):
 
     name: ClassVar[str] = "fix.drains"
     version: ClassVar[int] = 2
-    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("holes"), Headline("trapped_before_mm3", "trapped before", "mm^3"),
         Headline("trapped_mm3", "now", "mm^3"),

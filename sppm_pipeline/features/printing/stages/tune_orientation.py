@@ -128,7 +128,6 @@ class TuneOrientation(Stage):
     """
 
     name: ClassVar[str] = "tune.orientation"
-    libraries: ClassVar[tuple[str, ...]] = ("matplotlib",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("turn", unit="degrees"), Headline("score"), Headline("score_as_is", "as it is"),
         Headline("voxel_mm", "voxels of", "mm"),
