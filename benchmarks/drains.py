@@ -3,8 +3,8 @@
     python -m benchmarks.drains [SEEDS] [FAMILY ...]
 
 Ten families of parts (brackets, plates, flanges, housings, ...) of random dimensions, SEEDS (5) of each, are filled
-behind a skin and drained by `fix.drains`; odd seeds get a sheet between two voids. Edges are those of the mesh, holes
-are known from the drawing. For each part: how near drains come to holes, edges and the build plate, in diameters from
+behind a skin with one of three structures in turn, and drained by `fix.drains`. Edges are those of the mesh, holes are
+known from the drawing. For each part: how near drains come to holes, edges and the build plate, in diameters from
 rim to rim, and the void that is left.
 """
 
@@ -283,25 +283,33 @@ def closed(solid: NDArray[np.uint8], voxel: float) -> F64:
     return np.asarray(sizes[sizes > 0])
 
 
+KINDS = ("one void", "two voids", "pores apart")
+"""Of structures: the paper's cell, a sheet between two voids, and pores that tunnels do not join."""
+
+
 @functools.cache
-def structure(sheet: bool) -> sppm.Microstructure:
-    """A cell whose void is in one piece, or a sheet between two."""
-    if sheet:
-        return sppm.tune.porosity(
-            recipe=[{"stage": "field.tpms", "surface": "gyroid", "form": "sheet"}], target=0.7, seed=1
-        )
-    return sppm.cell("paper", porosity=0.7, seed=1)
+def structure(kind: str) -> sppm.Microstructure:
+    """A cell of a kind."""
+    if kind == "one void":
+        return sppm.cell("paper", porosity=0.7, seed=1)
+    sheet: list[dict[str, object]] = [{"stage": "field.tpms", "surface": "gyroid", "form": "sheet"}]
+    pores: list[dict[str, object]] = [
+        {"stage": "sample.dart_throwing", "total": 10, "share": 0.6},
+        {"stage": "connect.mst"},
+        {"stage": "field.gaussian", "pore_radius": 0.17, "tunnel_radius": 0.01},
+    ]
+    recipe, target = (sheet, 0.7) if kind == "two voids" else (pores, 0.3)
+    return sppm.tune.porosity(recipe=recipe, target=target, seed=1)
 
 
-def outcome(made: Drawing, sheet: bool) -> Outcome:
+def outcome(made: Drawing, kind: str) -> Outcome:
     """Fill a part, drain it, and measure where the drains are."""
     mesh = mesh_of(made.body)
-    cells = sppm.tile.periodic(cell=f"{CELL} mm")(structure(sheet), mesh)
-    part = sppm.fill.implicit(skin=f"{SKIN} mm", islands="keep")(cells, domain=mesh)
-    drain = sppm.fix.drains(diameter=f"{DIAMETER} mm", most=12)
     with warnings.catch_warnings(record=True) as caught, TemporaryDirectory() as folder:
         warnings.simplefilter("always")
-        drained = drain(part, output=folder)
+        cells = sppm.tile.periodic(cell=f"{CELL} mm")(structure(kind), mesh)
+        part = sppm.fill.implicit(skin=f"{SKIN} mm", islands="keep")(cells, domain=mesh)
+        drained = sppm.fix.drains(diameter=f"{DIAMETER} mm", most=12)(part, output=folder)
     said = any("closed voids" in str(warning.message) for warning in caught)
     (solid, grid), (opened, _) = part.coarse_solid(2), drained.coarse_solid(2)
     before, after = (closed(image, grid.spacing[0] ** 3) for image in (solid, opened))
@@ -327,7 +335,7 @@ def main() -> None:
     rows = []
     for family in sys.argv[2:] or FAMILIES:
         for seed in range(seeds):
-            found = outcome(drawing(family, seed), bool(seed % 2))
+            found = outcome(drawing(family, seed), KINDS[seed % 3])
             rows.append(found)
             print(
                 f"{family:9} {seed} drains {found.drains:2} hole {found.hole:5.2f} edge {found.edge:5.2f} "

@@ -112,6 +112,6 @@ def test_installing_an_extra_changes_no_keys_but_those_of_stages_that_use_it(mon
 
 def test_only_what_draws_charts_depends_on_matplotlib():
     """Parts once depended on it by `fix.drains` and `tune.orientation`, and were made anew when it was installed."""
-    using = {name for name in BUILT_IN if "matplotlib" in stage_class(name).libraries}
+    using = {name for name in STAGES if "matplotlib" in stage_class(name).libraries}
     charts = {"write.absorption", "write.bars", "write.chart", "write.curves", "write.statistics"}
     assert using <= charts | {"check.local_porosity", "check.print"}

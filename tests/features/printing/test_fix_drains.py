@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from benchmarks.drains import FAMILIES, drawing, mesh_of, outcome
+from benchmarks.drains import FAMILIES, KINDS, drawing, mesh_of, outcome
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.printing.numerics.routes import find_traps, mesh_features
 from sppm_pipeline.features.printing.stages.fix_drains import FixDrains
@@ -215,10 +215,11 @@ def test_every_hole_of_a_drawing_is_found(family):
         assert not (found[..., 2] < mesh.lower[2] + 1e-6).all(1).any() or not len(outside)
 
 
-@pytest.mark.parametrize(("family", "seed"), [("lug", 3), ("tee", 1), ("shaft", 0)])
+@pytest.mark.parametrize(("family", "seed"), [("lug", 3), ("tee", 1), ("shaft", 0), ("plate", 2)])
 def test_drains_of_drawings(family, seed):
-    """Parts of benchmarks/drains.py; drains of the first and the last once began in the wall of a hole."""
-    found = outcome(drawing(family, seed), bool(seed % 2))
+    """Parts of benchmarks/drains.py; drains of the first and the third once began in the wall of a hole."""
+    found = outcome(drawing(family, seed), KINDS[seed % 3])
     assert found.drains
     assert min(found.hole, found.edge, found.plate) > 0.99
-    assert found.left == 0
+    assert found.after < found.before
+    assert bool(found.left) == found.said == (KINDS[seed % 3] == "pores apart")
