@@ -42,6 +42,8 @@ class StiffnessDesign(Report):
     grid_error : float
         Relative error bar of the grid.
     draws : int
+    edge_mm : float or None
+        Size of the cell at which struts have at least the mean thickness asked for; None if none was.
     """
 
     headline: ClassVar[tuple[str, ...]] = ("distance", "stretch", "porosity", "draws")
@@ -59,6 +61,7 @@ class StiffnessDesign(Report):
     floor: float = field(metadata=number())
     grid_error: float = field(metadata=number())
     draws: int = field(metadata=number())
+    edge_mm: float | None = field(default=None, metadata=number(label="cell", unit="mm"))
 
     def __post_init__(self) -> None:
         for name in ("stretch", "rotation", "stiffness", "target", "mean_error", "draw_error"):

@@ -78,9 +78,9 @@ def test_the_throat_of_crossing_channels_is_their_diameter():
     for along_z in (0.15, 0.1):
         finer, fine, coarse = (channels(n, along_z) for n in (112, 56, 28))
         cells = Draws([fine], [coarse], [finer])
-        assert cells.throat(float((finer >= 0).mean())) == pytest.approx(2 * along_z, rel=0.04)
+        assert cells.passing(float((finer >= 0).mean())) == pytest.approx(2 * along_z, rel=0.05)
     blocked = np.where(np.arange(56)[:, None, None] < 10, np.float32(-1), channels(56, 0.15))
-    assert Draws([blocked], [blocked], [blocked]).throat(0.1) < 1e-5
+    assert Draws([blocked], [blocked], [blocked]).passing(0.1) < 1e-5
 
 
 def test_a_throat_is_met():

@@ -8,6 +8,7 @@ from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.design.numerics.tensor_fit import Fit, interval, orthotropic, stretch_of, turned
 from sppm_pipeline.features.design.stages.design_stiffness import DesignStiffness
 from sppm_pipeline.services.elastic.voigt import engineering_constants, isotropic, mandel, rotated
+from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness
 
 pytestmark = pytest.mark.filterwarnings("ignore:homogenize.voxel")  # coarse grids
 TURN = turned(np.array([0.4, -0.7, 0.3]))
@@ -100,6 +101,28 @@ def test_a_member_of_the_walls_is_found_from_other_draws(found, member):
     difference = np.linalg.norm(mandel(found.stiffness - member)) / np.linalg.norm(mandel(member))
     assert difference == pytest.approx(found.distance, rel=1e-6)
     assert (found.draw_error >= found.mean_error).all()
+
+
+def test_the_thinnest_strut_sets_the_size_of_the_cell(found, member, tmp_path):
+    """Further cells, sampled as they are stretched, have struts of at least that thickness: the bound holds."""
+    np.savetxt(tmp_path / "target.csv", member, delimiter=",")
+    sized = sppm.design.stiffness(target=tmp_path / "target.csv", porosity=0.7, min_strut="0.3 mm", **QUICK)
+    assert sized.stiffness == pytest.approx(found.stiffness)
+    assert found.edge_mm is None
+    walls = sppm.step.field.walls(struts=dict(sized.options)["struts"], tunnel_radius=0.08)
+    cells = [sppm.tune.porosity(target=0.7, recipe=[*QUICK["recipe"][:2], walls], seed=90 + k) for k in range(3)]
+
+    def thickness(cell, voxels, stretch):
+        n = np.round(voxels * stretch).astype(int)
+        grid = sppm.numerics.Grid(tuple(0.5 / n), tuple(1 / n), tuple(map(int, n)))
+        return local_thickness(np.ascontiguousarray(cell.solid(grid).T).view(np.uint8)).ravel()
+
+    means = []
+    for stretch in (sized.stretch, np.ones(3)):
+        fine, coarse = (np.concatenate([thickness(cell, n, stretch) for cell in cells]) for n in (48, 24))
+        means.append(sized.edge_mm * limit_sizes(fine, coarse, (1 / 48, 1 / 24)).mean)
+    assert 0.28 < means[0] < means[1]
+    assert means[1] == pytest.approx(0.3 / sized.stretch.min(), rel=0.15)  # as coarse as the design is
 
 
 def test_what_lies_beyond_is_refused_with_the_nearest():

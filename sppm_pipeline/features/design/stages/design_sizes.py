@@ -33,6 +33,10 @@ CLOSE = 0.01
 """Relative error of the ratio at which the corrections end; each size gets half of it, a fifth of what a draw scatters.
 Half of it takes about one more evaluation."""
 
+TOO_NARROW = 1.9
+"""Voxels by which balls are too small whose centers go from voxel to voxel through a round channel: 1.9 +- 0.35 in
+channels of 8 to 14 voxels in seven directions. Two grids would not do, as throats go in steps of a part of a voxel."""
+
 THROAT_CLOSE = 0.04
 """That which is taken in the end where throats are asked for: ten voxels go in steps of this size."""
 
@@ -62,20 +66,18 @@ class Draws:
         """Ratio of solid to void on the coarse grid, within some percent, but quick: balls are a voxel too small."""
         if self.finer:
             (solid,) = (_thickness(phases) for phases in _phases(self.coarse, porosity)[:1])
-            return float(solid[solid > 0].mean(dtype=np.float64) + 1) / (_throat(self.fine, porosity) / 2 + 1)
+            return float(solid[solid > 0].mean(dtype=np.float64) + 1) / (throat(self.fine, porosity) / 2 + 1)
         solid, void = (_thickness(phases) for phases in _phases(self.coarse, porosity))
         return float((solid[solid > 0].mean(dtype=np.float64) + 1) / (void[void > 0].mean(dtype=np.float64) + 1))
 
     def ratio(self, porosity: float) -> float:
         """Mean size of the solid over that of the void, in the limit of fine grids."""
         solid, void = self.sizes(porosity)
-        return solid.mean / (self.throat(porosity) if self.finer else void.mean)
+        return solid.mean / (self.passing(porosity) if self.finer else void.mean)
 
-    def throat(self, porosity: float) -> float:
-        """Mean over draws of the diameter of the largest ball that passes through the void, in cell sizes, in the limit
-        of fine grids."""
-        found = [_throat(values, porosity) / values[0].shape[0] for values in (self.finer, self.fine)]
-        return float(max(2 * found[0] - found[1], 1e-6))
+    def passing(self, porosity: float) -> float:
+        """Mean over draws of the diameter of the largest ball that passes through the void, in cell sizes."""
+        return max(throat(self.finer, porosity) / int(self.finer[0].shape[0]), 1e-6)
 
     def sizes(self, porosity: float) -> tuple[LimitSizes, ...]:
         """Sizes of solid and void in the limit of fine grids, in cell sizes."""
@@ -170,7 +172,7 @@ def _thickness(phases: Sequence[NDArray[np.uint8]]) -> F32:
     return np.concatenate([local_thickness(phase, TORUS) for phase in phases])
 
 
-def _throat(values: Sequence[F32], porosity: float) -> float:
+def throat(values: Sequence[F32], porosity: float) -> float:
     """Mean over draws of the diameter, in voxels, of the largest ball whose center runs through the void along x, y and
     z; 0 for a void that does not run through."""
     found = []
@@ -183,7 +185,7 @@ def _throat(values: Sequence[F32], porosity: float) -> float:
             open_ = find_components(squared >= steps[middle], TORUS)
             passes = any(all(wraps) for wraps in open_.wraps)
             low, high = (middle, high) if passes else (low, middle)
-        found.append(2 * math.sqrt(float(steps[low])) - 1 if low else 0.0)
+        found.append(2 * math.sqrt(float(steps[low])) - 1 + TOO_NARROW if low else 0.0)
     return float(np.mean(found))
 
 
@@ -307,11 +309,11 @@ class DesignSizes(Stage):
                 f"too few for sizes within 5 %: give `resolution: {math.ceil(MIN_VOXELS_ACROSS / thinner) + 1}`"
             )
         # what is left of the ratio's error is shared by both sizes
-        throat = cells.throat(porosity) if self.throat else None
-        edge = math.sqrt(strut * pore / (solid.mean * (throat or void.mean)))
+        passing = cells.passing(porosity) if self.throat else None
+        edge = math.sqrt(strut * pore / (solid.mean * (passing or void.mean)))
         return CellSizes(
             edge_mm=edge, porosity=porosity, draws=self.draws, strut_asked=strut,
-            pore_asked=None if throat else pore, throat=edge * throat if throat else None,
+            pore_asked=None if passing else pore, throat=edge * passing if passing else None,
             strut=edge * solid.mean, strut_deviation=edge * solid.deviation, strut_low=edge * solid.low,
             strut_high=edge * solid.high, strut_thinnest=edge * solid.thinnest,
             pore=edge * void.mean, pore_deviation=edge * void.deviation, pore_low=edge * void.low,

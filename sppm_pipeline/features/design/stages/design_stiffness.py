@@ -17,10 +17,12 @@ from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
 from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_porosity
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.size import Size, sum_of
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.elastic.voigt import mandel, rotated
 from sppm_pipeline.services.grid import cell_centers
+from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness
 
 SCANNED = (0.0, 0.5, 1.0)
 """Shares of the range of the first dial at which unstretched cells are homogenized to begin with."""
@@ -30,6 +32,9 @@ LIGHTEST = 0.93
 
 MIN_SIZE = 1e-6
 """Norm of a target over Young's modulus of the solid, below which, and above its inverse, units are confused."""
+
+MIN_VOXELS = 3
+"""Voxels that struts measure in the mean where `min_strut` is asked for: below, two grids were off by a third."""
 
 EVALUATIONS = 12
 """Stiffnesses that a search with one dial usually takes, each the mean of `draws` cells."""
@@ -53,6 +58,10 @@ class DesignStiffness(Stage):
     cell lies. Mirrored draws are as likely, so that along the recipe's axes entries that mirrors change have the mean
     0; what a target has of them is out of reach, the `floor` of the distance. A target farther than `max_distance` is
     refused, with the nearest design.
+
+    Stiffness has no scale. With `min_strut` the design has a size of the cell as well, at which struts are that thick
+    in the mean or thicker: their local thickness in unstretched draws times the least stretch, as a stretched ball
+    holds one of this size.
 
     `tile` rules lay plain cells; `warp.affine` after them stretches and turns what they lay, by this design.
     """
@@ -78,6 +87,10 @@ class DesignStiffness(Stage):
     porosity: float | None = options.porosity(None, note="that is kept; found too if omitted, within `max_density`")
     max_density: float | None = option(None, help="largest share of the solid, where no porosity is given", above=0,
                                        below=1)  # fmt: skip
+    min_strut: Length | None = option(
+        None, help="least mean thickness of struts; sets the size of the cell, on which stiffness does not depend",
+        unit="mm", minimum=1e-4, maximum=1e4,
+    )  # fmt: skip
     vary: tuple[str, ...] = option(("struts",), help=f"{VARY}; any number of dials, or none")
     low: tuple[float, ...] = option((0.0,), help=f"{LOW}; of each dial", minimum=-1e15, maximum=1e15)
     high: tuple[float, ...] = option((0.9,), help=f"{HIGH}; of each dial", minimum=-1e15, maximum=1e15)
@@ -200,7 +213,8 @@ class DesignStiffness(Stage):
             x, near, draws, bar = self._corrected(fit, cells, x)
         if near.distance > self.max_distance:
             raise self._unreachable(near, fit)
-        return self._report(recipe, fit, x, near, draws, bar, target)
+        strut = 0.0 if self.min_strut is None else cells.strut(x[:-2])
+        return self._report(recipe, fit, x, near, draws, bar, target, strut)
 
     def _corrected(self, fit: Fit, cells: _Cells, x: F64) -> tuple[F64, Design, F64, float]:
         """The better one of what was found and of a step from it by the slopes known, each measured on all draws."""
@@ -216,7 +230,7 @@ class DesignStiffness(Stage):
         return best
 
     def _report(
-        self, recipe: Recipe, fit: Fit, x: F64, near: Design, draws: F64, bar: float, target: F64
+        self, recipe: Recipe, fit: Fit, x: F64, near: Design, draws: F64, bar: float, target: F64, strut: float
     ) -> StiffnessDesign:
         turned = np.array([rotated(c, near.rotation) for c in draws])
         _, of_mean, of_draw = interval(turned)
@@ -228,7 +242,7 @@ class DesignStiffness(Stage):
             porosity=near.dials[-1] if self.porosity is None else self.porosity, stretch=near.stretch,
             rotation=near.rotation, stiffness=y * rotated(orthotropic(draws.mean(0)), near.rotation), target=y * target,
             mean_error=y * of_mean, draw_error=y * of_draw, distance=near.distance, floor=floor, grid_error=bar,
-            draws=len(draws),
+            draws=len(draws), edge_mm=self.min_strut.mm() / (strut * near.stretch.min()) if self.min_strut else None,
         )  # fmt: skip
 
     def _unreachable(self, near: Design, fit: Fit) -> DesignError:
@@ -275,6 +289,21 @@ class _Cells:
             total = self._stage.search_draws * EVALUATIONS + 2 * self._stage.draws
             self._context.progress(min(self._solved, total), total, "cells homogenized")
         return np.array(found), bars
+
+    def strut(self, dials: F64) -> float:
+        """Mean thickness of the solid of unstretched draws in the limit of fine grids, in cell sizes."""
+        n, both = 2 * self._stage.resolution, []  # twice that of stiffness, as thin walls need it
+        fields = [self._cell(tuple(map(float, dials)), draw) for draw in range(3)]
+        for edge in (n, n // 2):
+            solids = [one.sample(cell_centers(edge, one.cells), self._context.threads) < 0 for one in fields]
+            both.append(np.concatenate([local_thickness(np.ascontiguousarray(one.T).view(np.uint8)) for one in solids]))
+        found = limit_sizes(both[0], both[1], (1 / n, 1 / (n // 2))).mean
+        if found * n < MIN_VOXELS:
+            raise DesignError(
+                f"struts of the design measure {found * n:.2g} voxels, too few to find a cell for `min_strut`",
+                hint=f"raise `resolution: {n // 2}`, or leave `min_strut` out",
+            )
+        return found
 
     def _cell(self, dials: tuple[float, ...], draw: int) -> ScalarField:
         key = (dials, draw)
