@@ -184,22 +184,19 @@ class BorderSampler:
 
     def _make_crossed(self, start: int, stop: int, threads: int) -> tuple[Any, ...]:
         """Crossings of the solid and of the domain, and the squared distances from them in each plane."""
-        from sppm_pipeline.method.kernels.profiles import log_of_sums
-
         nz = self._grid.shape[2]
         # beyond the grid things go on as at its end, which is void
         low, high = min(max(0, start), nz - 1), max(min(nz, stop + 1), 1)
         more = self._eroded_within + AROUND
         wanted = self._spans_around(low, high, more + 1, more + 1, threads)
         inner, skin, outer, found = self._part.cut_zyx(self._grid, threads, low, high, wanted)
-        if (level := self._part.base.sum_level) is not None:
-            inner = log_of_sums(inner, level)
         rows = np.clip(np.arange(start, stop + 1), low, high - 1) - low
         if len(rows) != high - low:
             inner, outer = inner[rows], outer[rows]
             skin = None if skin is None else skin[rows]
         spans = self._spans_around(start, stop, more, more, threads)
-        solid, domain = crossed(inner, skin, spans, threads), crossed(outer, None, spans, threads)
+        solid = crossed(inner, skin, spans, threads, self._part.base.sum_level or 0.0)
+        domain = crossed(outer, None, spans, threads)
         place_crossings(domain, found, start)
         flat, domain_flat = (in_planes(made, spans, self._eroded_within, threads) for made in (solid, domain))
         return solid.solid, solid.z, flat, domain.solid, domain.z, domain_flat

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from sppm_pipeline.method.kernels.profiles import MIN_SUM
 from sppm_pipeline.services.arrays import F32, I16, I32, U8, U16
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
 from sppm_pipeline.services.threads import in_bands
@@ -60,11 +61,12 @@ class Crossed(NamedTuple):
     z: U8
 
 
-def crossed(field: F32, other: F32 | None, spans: I32, threads: int = 1) -> Crossed:
+def crossed(field: F32, other: F32 | None, spans: I32, threads: int = 1, level: float = 0.0) -> Crossed:
     """The solid where a field, or another one, is negative; fields (n + 1, ny, nx), the result n planes.
 
-    Each field crosses zero where it does linearly between the nodes, whatever its unit. `spans` (n, ny, 2) are the
-    first node of each row, and the one after the last.
+    Each field crosses zero where it does linearly between the nodes, whatever its unit; with a level C, the first is a
+    sum of kernels less that, and its logarithm does. `spans` (n, ny, 2) are the first node of each row, and the one
+    after the last.
     """
     n, ny, nx = field.shape
     solid = np.empty(field.shape, np.uint8)
@@ -72,7 +74,8 @@ def crossed(field: F32, other: F32 | None, spans: I32, threads: int = 1) -> Cros
     both = other is not None
     second = field if other is None else other
     in_bands(lambda a, b: _signs(field, second, both, a, b, solid), n, threads)
-    in_bands(lambda a, b: _cross(field, second, both, solid, spans, a, b, *codes), n - 1, threads)
+    sums = np.float32(level)
+    in_bands(lambda a, b: _cross(field, second, both, solid, spans, sums, a, b, *codes), n - 1, threads)
     return Crossed(solid[:-1], *codes)
 
 
@@ -195,8 +198,9 @@ def _signs(field: F32, other: F32, both: bool, start: int, stop: int, solid: U8)
 
 @jit
 def _cross(
-    field: F32, other: F32, both: bool, solid: U8, spans: I32, start: int, stop: int, cx: U8, cy: U8, cz: U8
-) -> None:
+    field: F32, other: F32, both: bool, solid: U8, spans: I32, level: np.float32, start: int, stop: int, cx: U8,
+    cy: U8, cz: U8,
+) -> None:  # fmt: skip
     _, ny, nx = field.shape
     for k in range(start, stop):
         for j in range(ny):
@@ -218,7 +222,11 @@ def _cross(
                         ak, aj, ai, bk, bj, bi = kk, jj, i + di, k, j, i
                     share = np.float32(0.0)
                     if field[ak, aj, ai] < 0:
-                        share = _share(field[ak, aj, ai], field[bk, bj, bi])
+                        a, b = field[ak, aj, ai], field[bk, bj, bi]
+                        if level > 0:  # as `log_of_sums`, but only of the few nodes at the surface
+                            least = np.float32(MIN_SUM) / level - np.float32(1)
+                            a, b = np.log1p(max(a / level, least)), np.log1p(b / level)
+                        share = _share(a, b)
                     if both and other[ak, aj, ai] < 0:
                         share = max(share, _share(other[ak, aj, ai], other[bk, bj, bi]))
                     code = np.uint8(np.float32(PARTS) * share + np.float32(0.5))
