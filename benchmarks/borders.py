@@ -18,13 +18,14 @@ from sppm_pipeline.features.surface.stages.extract_marching_cubes import Marchin
 from sppm_pipeline.method.connectivity.components import find_components
 from sppm_pipeline.method.part.border import Border
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.part.surface_net import surface_net
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.local_thickness import local_thickness
 from sppm_pipeline.services.mesh.measures import genus
 from sppm_pipeline.testing.plain_context import PlainContext
 
 ROOT = Path(__file__).resolve().parents[1]
-THINNEST, VOXEL, PATCH, WITHIN = 0.3, 0.05, 50, 0.02
+THINNEST, STRUT, VOXEL, PATCH, WITHIN = 0.3, 0.5, 0.05, 50, 0.02
 
 
 def main() -> None:
@@ -34,9 +35,15 @@ def main() -> None:
     low = (part.domain.lower + VOXEL / 2 - part.origin_mm) / edge
     nx, ny, nz = (round(float(side) / VOXEL) for side in part.domain.upper - part.domain.lower)
     grid = Grid((float(low[0]), float(low[1]), float(low[2])), (VOXEL / edge,) * 3, (nx, ny, nz))
-    for border in (None, Border(THINNEST)):
+    net = surface_net(part.domain.vertices[part.domain.faces], edge / 2, STRUT / 2, np.random.default_rng(0))
+    ways = {
+        "cut": part,
+        "round": replace(part, border=Border(THINNEST)),
+        "frame": replace(part, border=Border(THINNEST), fills=net.capsules),
+    }
+    for name, way in ways.items():
         for _ in range(2):  # the first one compiles
-            made, start = replace(part, border=border), time.process_time()
+            made, start = replace(way), time.process_time()
             solid = np.concatenate([made.solid_zyx(grid, k, min(nz, k + 18)) for k in range(0, nz, 18)])
             taken = time.process_time() - start
         found = find_components(solid)
@@ -50,7 +57,7 @@ def main() -> None:
             few = simplify(mesh.vertices, mesh.faces, WITHIN)
             simplified = time.process_time() - start
         print(
-            f"{'round' if border else 'cut':6} solid {solid.sum() * VOXEL**3:.1f} mm3 in {taken:.2f} s, {share:.2%} in "
+            f"{name:6} solid {solid.sum() * VOXEL**3:.1f} mm3 in {taken:.2f} s, {share:.2%} in "
             f"one piece; thin {thin.sum() / solid.sum():.2%}, {(patches > PATCH).sum()} patches above {PATCH} voxels; "
             f"{len(mesh.faces)} triangles, {len(few.faces)} within {few.farthest:.4f} mm in {simplified:.2f} s, genus "
             f"{genus(mesh.faces)} and {genus(few.faces)}, quality below 0.1: "

@@ -9,6 +9,7 @@ import numpy as np
 
 from sppm_pipeline.services.arrays import F32, F64
 from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.jit.compiled import jit
 
 Window = tuple[slice, slice, slice]
 
@@ -49,3 +50,37 @@ def depths_in_capsules(
             (window[0], window[1], window[2]),
             (radius - np.sqrt(squares[0] + squares[1] + squares[2])).astype(np.float32),
         )
+
+
+def fill_capsules(grid: Grid, capsules: F64, margin: float, edge: np.float32, field: F32) -> None:
+    """Lower a field (nz, ny, nx) to the distance from capsules (n, 7) over an edge, near them; in place.
+
+    The same as by `depths_in_capsules`, of which thousands would take long.
+    """
+    _fill(capsules, np.array(grid.origin), np.array(grid.spacing), margin, edge, field)
+
+
+@jit
+def _fill(capsules: F64, origin: F64, spacing: F64, margin: float, edge: np.float32, field: F32) -> None:
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    along = np.empty(3)
+    for n in range(capsules.shape[0]):
+        a, b, radius = capsules[n, :3], capsules[n, 3:6], capsules[n, 6]
+        length2 = 0.0
+        for axis in range(3):
+            along[axis] = b[axis] - a[axis]
+            length2 += along[axis] * along[axis]
+            lowest, highest = min(a[axis], b[axis]) - radius - margin, max(a[axis], b[axis]) + radius + margin
+            first[axis] = max(0, int(np.floor((lowest - origin[axis]) / spacing[axis])))
+            last[axis] = min(field.shape[2 - axis], int(np.ceil((highest - origin[axis]) / spacing[axis])) + 1)
+        for k in range(first[2], last[2]):
+            z = origin[2] + k * spacing[2] - a[2]
+            for j in range(first[1], last[1]):
+                y = origin[1] + j * spacing[1] - a[1]
+                for i in range(first[0], last[0]):
+                    x = origin[0] + i * spacing[0] - a[0]
+                    dot = x * along[0] + y * along[1] + z * along[2]
+                    t = min(max(dot / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+                    square = (x - t * along[0]) ** 2 + (y - t * along[1]) ** 2 + (z - t * along[2]) ** 2
+                    away = np.float32(np.sqrt(square) - radius) / edge
+                    field[k, j, i] = min(field[k, j, i], away)

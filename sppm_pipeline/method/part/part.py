@@ -11,7 +11,7 @@ import numpy as np
 
 from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.part.capsules import depths_in_capsules
+from sppm_pipeline.method.part.capsules import depths_in_capsules, fill_capsules
 from sppm_pipeline.method.part.domain_sampler import DomainSampler
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.services.arrays import F32, F64, I32, U8, U64, Bools
@@ -185,8 +185,7 @@ class Part(WrappedField):
         inner = inner.copy()  # what a field hands out may be its own
         world, edge = self.in_mm(grid), np.float32(self.physical_edge())
         layers, margin = world.layers(start, stop), 2 * max(world.spacing)
-        for window, depth in depths_in_capsules(layers, self.fills, margin):
-            np.minimum(inner[window], depth / -edge, out=inner[window])
+        fill_capsules(layers, self.fills, margin, edge, inner)
         if skin is not None:
             self._drained(skin, grid, start, stop)
         return self._drained(inner, grid, start, stop)

@@ -13,7 +13,7 @@ from sppm_pipeline import Length, Palette, Part, ScalarField, Size, SurfaceMesh,
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.method.families.inside_test import outward_mesh
 from sppm_pipeline.method.part.border import Border
-from sppm_pipeline.services.arrays import I32, I64
+from sppm_pipeline.services.arrays import F64, I32, I64
 from sppm_pipeline.services.formats.input_file import content_of
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
@@ -54,6 +54,10 @@ class ImplicitFill(Stage):
     faces stay flat. Voxels of a sixth of `thinnest` then show hardly any solid thinner than that; for this the balls
     are larger by two fifths. The field is evaluated on a grid of a quarter of `thinnest` and interpolated, so that
     layers and meshes agree. Disconnected solid is left out as islands. An extension of the paper.
+
+    With `border: frame` struts along the surface unite with the solid before that, so that no strut ends there alone:
+    points are spread over the surface, and neighbors along it are joined, so that the meshes between are the pores of
+    the surface.
     """
 
     name: ClassVar[str] = "fill.implicit"
@@ -93,8 +97,17 @@ class ImplicitFill(Stage):
         unit="mm", minimum=-1e5, maximum=1e5,
     )  # fmt: skip
     border: str = option(
-        "cut", help="how the solid ends at the surface of the part: as cut, or without what is too thin",
-        choices=("cut", "round"),
+        "cut", help="how the solid ends at the surface of the part: as cut, without what is too thin, or that and in a "
+        "net of struts along the surface",
+        choices=("cut", "round", "frame"),
+    )  # fmt: skip
+    frame: Length | None = option(
+        None, help="diameter of the struts along the surface; 1.5 times `thinnest` if omitted",
+        unit="mm", minimum=1e-3, maximum=1e3,
+    )  # fmt: skip
+    frame_spacing: Length | None = option(
+        None, help="least distance of the points along the surface that struts join; half of a cell if omitted",
+        unit="mm", minimum=1e-2, maximum=1e4,
     )  # fmt: skip
     thinnest: Length | None = option(
         None, help="thinnest solid that a border leaves, and what sharp edges are rounded to; 0.3 mm if omitted",
@@ -107,6 +120,16 @@ class ImplicitFill(Stage):
         """Drains that are open, and faces to choose only for a skin."""
         if self.border == "cut" and self.thinnest is not None:
             raise ConfigError("`thinnest` is what a border leaves, and there is none", hint="give `border: round`")
+        if self.border != "frame" and (self.frame is not None or self.frame_spacing is not None):
+            raise ConfigError(
+                "`frame` and `frame_spacing` describe a net that there is not", hint="give `border: frame`"
+            )
+        if self.frame is not None and self.frame.mm() < (self.thinnest or THINNEST).mm():
+            raise ConfigError(
+                f"struts of {self.frame.mm():g} mm along the surface are thinner than `thinnest`, "
+                f"{(self.thinnest or THINNEST).mm():g} mm",
+                hint="make `frame` thicker, or `thinnest` smaller",
+            )
         least = 2 * (self.thinnest or THINNEST).mm()
         for what, thick in (("skin", self.skin), ("solid near faces", self.solid_within)):
             if self.border != "cut" and thick is not None and thick.mm() < least:
@@ -167,6 +190,8 @@ class ImplicitFill(Stage):
             faces = np.flatnonzero(named_triangles(domain, self.solid_near)).astype(np.int32)
             context.report(solid_triangles=len(faces))
             part = replace(part, solid_mm=self.solid_within.mm(), solid_faces=faces)
+        if self.border == "frame":
+            part = replace(part, fills=self._frame(context, domain, edge))
         if part.skin_mm:
             sealed = sealed_void(part, context.threads)
             context.report(sealed_mm3=sealed)
@@ -176,6 +201,18 @@ class ImplicitFill(Stage):
                     "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
                 )
         return part
+
+    def _frame(self, context: Context, domain: SurfaceMesh, edge: float) -> F64:
+        """Capsules of the net along the surface."""
+        from sppm_pipeline.method.part.surface_net import surface_net
+
+        outer = domain.outer_surface
+        triangles = domain.vertices[domain.faces] if outer is None else outer.triangles
+        thick = 1.5 * (self.thinnest or THINNEST).mm() if self.frame is None else self.frame.mm()
+        spacing = edge / 2 if self.frame_spacing is None else self.frame_spacing.mm()
+        net = surface_net(triangles, spacing, thick / 2, context.rng())
+        context.report(frame_points=len(net.points), frame_struts=len(net.edges))
+        return net.capsules
 
     def _chosen(self, context: Context, domain: SurfaceMesh, near: SurfaceMesh | None) -> I32:
         """Numbers of the triangles that have the skin."""
