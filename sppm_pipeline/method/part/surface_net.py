@@ -28,7 +28,7 @@ SAME_SIDE = -0.5
 """Least cosine of the angle between normals of places that belong together; the other side of a thin wall has -1."""
 
 MAX_PLACES = 4_000_000
-"""Places of the surface: some hundred MB, some ten seconds."""
+"""Places of the surface: some hundred MB, about 10 s."""
 
 
 class SurfaceNet(NamedTuple):
