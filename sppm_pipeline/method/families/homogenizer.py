@@ -69,6 +69,13 @@ class VoxelCell(NamedTuple):
         # float32 sums of millions of voxels would lose digits
         return 1 - float(self.fraction.mean(dtype=np.float64))
 
+    def first_eighth(self) -> VoxelCell:
+        """The half of each axis at its low side: the cell itself, if this is one with its mirror images."""
+        nx, ny, nz = (n // 2 for n in self.shape)
+        phase = None if self.phase is None else self.phase[:nx, :ny, :nz]
+        fraction = None if self.fraction is None else self.fraction[:nx, :ny, :nz]
+        return VoxelCell(phase, fraction, self.edges)
+
     def occupied(self) -> U8:
         """1 where there is any solid."""
         # both have one byte: a view saves a copy
@@ -304,8 +311,9 @@ class SidedHomogenizer(Homogenizer):
     """Base of homogenizers that take what does not repeat, such as scans."""
 
     sides: str = option(
-        "periodic", help="what lies beyond the sides; periodic: the cell repeats; mirror: its mirror images, eight "
-        "times as many voxels, as if what does not repeat, such as a scan, were loaded between smooth plates",
+        "periodic", help="what lies beyond the sides; periodic: the cell repeats; mirror: its mirror images, as if "
+        "what does not repeat, such as a scan, were loaded between smooth plates; eight times the voxels, but for "
+        "stiffness",
         choices=("periodic", "mirror"),
     )  # fmt: skip
 

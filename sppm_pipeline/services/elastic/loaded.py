@@ -7,6 +7,7 @@ node of a coarse grid is held if any node that it is interpolated to is. Bricks 
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.services.arrays import F32, F64, Bools
-from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, coefficients, largest_eigenvalue
+from sppm_pipeline.services.elastic.elastic_level import STRETCH, ElasticLevel, Moduli, coefficients, largest_eigenvalue
 from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, coarser, node_sums, padded
@@ -26,8 +27,11 @@ from sppm_pipeline.services.multigrid.vectors import dot
 UPPER = np.triu_indices(6)
 """Rows and columns of the 21 constants of a stiffness."""
 
-_RESTARTS = 4
+_RESTARTS = 5
 """Times that the iteration begins again from the true residual, which rounding drives away from the updated one."""
+
+_FLOOR = 1e-6
+"""Part of the energy of a guess below which what is left counts as this: single precision has about six digits."""
 
 _SAMPLED = 64
 """Voxels of different stiffness whose largest eigenvalue is looked for; it hardly varies along a smooth law."""
@@ -199,7 +203,9 @@ class HeldBody:
             given = np.stack([mean(one) for one in given]) if general else given.each(mean)
             held = _held_below(held, shape)
         transfers = [NodalTransfer.between(a.shape, b.shape, open_ends=True) for a, b in pairwise(levels)]
-        self.hierarchy = Hierarchy.of(levels, SCRATCH_ROWS, bound, transfers=transfers, twice=False, planar=True)
+        self.hierarchy = Hierarchy.of(
+            levels, SCRATCH_ROWS, bound, transfers=transfers, twice=True, planar=True, stretch=STRETCH
+        )
         self._work = self.hierarchy.workspace()
         self._free = copy(levels[0])
         self._free.hold(np.zeros_like(fixed))
@@ -215,6 +221,7 @@ class HeldBody:
         self,
         loads: NDArray[Any] | NodalValues, given: NDArray[Any] | NodalValues | None = None,
         start: NDArray[Any] | None = None, *, residual: float = 1e-6, energy: float = 0.0, iterations: int = 1000,
+        stored: float = 0.0,
     ) -> Loaded:  # fmt: skip
         """Displacements under nodal forces.
 
@@ -229,9 +236,11 @@ class HeldBody:
         residual : float
             Part of the loads, and of what given displacements cause, that may be left over.
         energy : float
-            ... or estimated relative error of the energy that the iteration gains.
+            ... or estimated relative error of the energy that the iteration gains, or of what is left of `stored`.
         iterations : int
             Of all restarts together.
+        stored : float
+            Twice the energy of the guess, without loads.
 
         Raises
         ------
@@ -258,18 +267,27 @@ class HeldBody:
         if start is not None:  # measured against what there is without the guess
             np.copyto(u, start.reshape(-1), where=~fixed, casting="same_kind")
             first = left_over(u)
+        whole_energy = stored
         done, error, converged = 0, np.inf, whole == 0 or first <= residual * whole
         for _ in range(_RESTARTS):
             if converged or done >= iterations:
                 break
             stop = Stop(residual * whole / first, energy, iterations - done)
             step = np.empty_like(u) if u.any() else u  # large bodies have no room for another vector
-            found = solve(self.hierarchy, b, step, p, self._work, stop, 0.0, 1e-300)
+            found = solve(self.hierarchy, b, step, p, self._work, stop, stored, max(_FLOOR * whole_energy, 1e-300))
             done += found.iterations
             if not found.definite:
-                raise ArithmeticError("the preconditioner is not positive definite")
+                if not self.hierarchy.twice:
+                    raise ArithmeticError("the preconditioner is not positive definite")
+                # a cycle that visits coarse grids once, and corrects by no more than they say, always is
+                self.hierarchy = replace(self.hierarchy, twice=False, stretch=1.0)
+                if step is u:
+                    u[:] = 0
+                left_over(u)
+                continue
             if step is not u:
                 u += step
+            stored = found.energy if whole_energy else 0.0
             error, last, first = found.error, first, left_over(u)
             converged = first <= residual * whole or 0 < energy >= error
             if first > 0.5 * last:  # rounding

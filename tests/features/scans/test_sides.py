@@ -7,6 +7,7 @@ import sppm_pipeline as sppm
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.scans.image_field import ImageField
 from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.services.elastic import loaded
 from tests.features.scans.test_statistics import spheres
 
 pytestmark = pytest.mark.filterwarnings("ignore::sppm_pipeline.SppmWarning")  # twelve voxels resolve little
@@ -33,6 +34,30 @@ def test_mirrored_images_are_eight_copies(cut):
         copies = getattr(stage(**SOLVE)(by_hand(cut)), number)
         assert np.abs(mirrored - copies).max() < 1e-6 * np.abs(copies).max()
         assert np.diag(mirrored)[0] > 0
+
+
+def test_stiffness_with_mirror_images_is_solved_on_an_eighth(cut, monkeypatch):
+    """Two materials, voxels of unequal edges, an odd number of them, single precision, and a cycle that breaks down."""
+    phases = (cut[:11, :, :10] + (np.indices((11, 12, 10)).sum(axis=0) % 7 == 0)).astype(np.uint8)
+    copies = by_hand(phases).values
+    stage = sppm.homogenize.voxel(sides="mirror", young=[1.0, 3.0], poisson=[0.3, 0.4])
+    sizes = []
+    solve = loaded.solve
+
+    def watched(hierarchy, b, *args):
+        found = solve(hierarchy, b, *args)
+        sizes.append(len(b))
+        return found._replace(definite=not hierarchy.twice)  # as if every second visit made the cycle indefinite
+
+    scan = Voxels(phases, (1.0, 1.3, 0.8), True, (False,) * 3)
+    whole = Voxels(copies, (1.0, 1.3, 0.8), True, (True,) * 3)
+    expected = sppm.homogenize.voxel(young=[1.0, 3.0], poisson=[0.3, 0.4])(whole).stiffness
+    assert stage(scan).stiffness == pytest.approx(expected, abs=3e-4 * expected.max())
+    monkeypatch.setattr(loaded, "solve", watched)
+    assert stage(scan).stiffness == pytest.approx(expected, abs=3e-4 * expected.max())
+    assert set(sizes) == {3 * 12 * 13 * 11}
+    heated = sppm.homogenize.voxel(sides="mirror", young=[1.0, 3.0], poisson=[0.3, 0.4], expansion=[1e-5, 1e-5])
+    assert heated(scan).expansion[:3] == pytest.approx([1e-5] * 3, rel=1e-3)
 
 
 def test_fields_of_scans_are_homogenized_with_their_mirror_images(cut):

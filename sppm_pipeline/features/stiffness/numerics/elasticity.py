@@ -18,7 +18,7 @@ _FLOOR = 1e-6
 """Stiffness, over the mean of the voxels, below which no accuracy is requested: single precision has about six
 digits."""
 
-_NO_LOAD_PATH = 1e-9
+NO_LOAD_PATH = 1e-9
 """Stiffness, over the mean of the voxels, below which a direction counts as having no load path."""
 
 _FIRST_ORDER = 0.01
@@ -142,7 +142,7 @@ class ElasticBody(NamedTuple):
         stop = Stop(residual, _FIRST_ORDER * tolerance if first_order else tolerance, iterations)
         matrix, solved, reached = load_cases(hierarchy, measure, mean, stop, _FLOOR, self.dtype, threads, _NESTED)
         # what is left there is rounding
-        void = np.diag(matrix) < _NO_LOAD_PATH * mean
+        void = np.diag(matrix) < NO_LOAD_PATH * mean
         matrix[void] = 0
         matrix[:, void] = 0
         if expansion is None:

@@ -289,8 +289,9 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
     `filling_young`; voxels at the surface then have a mean of both.
 
     A cell that does not repeat, such as a scan, is loaded with its mirror images (`sides: mirror`): its sides stay
-    plane under tension and take no shear, the mixed conditions of Pahr and Zysset (2008). The result is then
-    orthotropic whatever the scan is, and has no coupling of shear to tension.
+    plane under tension and take no shear, the mixed conditions of Pahr and Zysset (2008). Without thermal expansion
+    the scan alone is solved. The result is then orthotropic whatever the scan is, and has no coupling of shear to
+    tension.
 
     Given the coefficients of thermal expansion of the phases, it finds that of the cell as well.
     """
@@ -344,6 +345,23 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
             lambda grid, start, stop: field.sample_zyx(grid, start, stop, threads), (nx, ny, nz), (kx, ky, kz)
         )
         return VoxelCell(None, fraction.T, (ex, ey, ez))
+
+    def _found(self, context: Context, cell: VoxelCell, expansion: tuple[float, ...]) -> Homogenized:
+        """The stiffness of a cell on its grid, of one with mirror images from an eighth of it."""
+        if self.sides == "periodic" or expansion:
+            return super()._found(context, cell, expansion)
+        from sppm_pipeline.features.stiffness.numerics.mirrored import mirrored_stiffness
+
+        cell = _loaded(cell.first_eighth())
+        options = self.solver_options(context.threads)
+        del options["threads"]
+        lam, mu = (cell.of_voxels(values, options["precision"]) for values in zip(*self._constants(), strict=True))
+        return mirrored_stiffness(lam, mu, cell.edges, **options)
+
+    def bytes_of_a_voxel(self, threads: int) -> int:
+        """With mirror images one case of an eighth of the voxels is solved at a time, beside the image."""
+        whole = super().bytes_of_a_voxel(threads)
+        return whole if self.sides == "periodic" or self.expansion is not None else 6 + super().bytes_of_a_voxel(1) // 8
 
     def _expansions(self) -> tuple[float, ...]:
         """Of the void and of each phase; the void, if it has a stiffness of its own accord, expands as phase 1 does."""
