@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from sppm_pipeline.engine.config.options import options_of, parse_typed
+from sppm_pipeline.engine.plan import session
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
@@ -248,7 +249,11 @@ def document(name: str, option: str, value: str) -> tuple[str, int]:
     before, given, after = PLACES[name]
     options = [] if not given else [part for part in _split(given) if part.split(":")[0].strip() != option]
     entry = "  - {" + ", ".join([f"stage: {name}", *options, f"{option}: {value}"]) + "}"
-    head = ["sppm: 1", "recipes:", *RECIPE.splitlines(), *GRADED.splitlines(), "pipeline:"]
+    # reading YAML is most of the work, so recipes stand there only where they may be used
+    named = " ".join([*before, given, *after])
+    used = [text for name, text in (("cell", RECIPE), ("counted", GRADED)) if f"recipe: {name}" in named]
+    recipes = ["recipes:", *"".join(used).splitlines()] if used else []
+    head = ["sppm: 1", *recipes, "pipeline:"]
     return "\n".join([*head, *before, entry, *after]) + "\n", len(head) + len(before) + 1
 
 
@@ -262,6 +267,22 @@ def _split(given: str) -> list[str]:
         else:
             word += c
     return [*parts, word.strip()]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _plugins_are_loaded_once():
+    """Nothing changes about them from one value to the next."""
+    with pytest.MonkeyPatch.context() as patch:
+        loaded, load = [], session.load_plugins
+
+        def load_once(builtins, **how):
+            assert how == {"files": [], "distributions": True, "allowed": list(DOCUMENTED)}
+            if not loaded:
+                loaded.append(load(builtins, **how))
+            return loaded[0]
+
+        patch.setattr(session, "load_plugins", load_once)
+        yield
 
 
 def plan_of(path: Path):
