@@ -47,6 +47,51 @@ for _number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL)
 
+LONG = (
+    "tests/plugins/test_distributions.py",
+    "tests/test_hostile_options.py",
+    "tests/test_configs.py",
+    "tests/docs/test_python.py",
+    "tests/test_packaging.py",
+    "tests/engine/cli/test_supervision.py",
+    "tests/engine/cli/test_interrupts.py",
+    "tests/engine/cli/test_resources.py",
+    "tests/engine/test_hostile_plugins.py",
+    "tests/features/surface/test_extract_manifold_sdf.py",
+    "tests/features/stiffness/test_exact_relations.py",
+    "tests/features/tetrahedra/test_tetrahedral.py",
+    "tests/method/connecting/test_bounded.py",
+    "tests/method/stages/test_tile_scattered.py",
+    "tests/test_determinism.py",
+    "tests/services/jit/test_machine_code.py",
+    "tests/engine/cli/test_mutants.py",
+    "tests/engine/api/test_pipeline.py",
+    "tests/engine/process/test_parent.py",
+    "tests/engine/test_stuck_rows.py",
+    "tests/engine/cli/test_estimate.py",
+    "tests/features/browser/test_report_in_browser.py",
+    "tests/features/browser/test_report.py",
+    "tests/features/grading/test_tile_hexahedra.py",
+    "tests/features/sheet/test_field_sheet.py",
+    "plugins/sppm-crushing/tests/test_march.py",
+    "plugins/sppm-crushing/tests/test_crush_voxel.py",
+    "tests/method/assembly/test_overlap_add.py",
+)
+"""Files that take longer than the others, the longest first: they come first, so that no process is left with one when
+all others have ended. With ``--dist loadfile`` alone, those with many tests would come first, which are rarely long."""
+
+
+def pytest_configure(config):
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    places = {file: place for place, file in enumerate(LONG)}
+    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0], len(places)))
+
+
 MARK = "SPPM_TESTS"
 MARKED = f"{os.getpid()}-{os.urandom(8).hex()}"
 """An environment variable that all processes which tests start inherit, and its value, which no other tests have."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import networkx as nx
 
 import sppm_pipeline
+from tests.conftest import LONG
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sppm_pipeline"
@@ -31,6 +32,10 @@ def python_files() -> list[Path]:
 
 def test_no_file_is_long():
     assert {file: lines for file, lines in modules().items() if lines > MAXIMUM_LINES} == {}
+
+
+def test_the_tests_that_take_long_are_there():
+    assert [file for file in LONG if not (ROOT / file).is_file()] == []
 
 
 def test_few_files_are_tiny():
