@@ -1,6 +1,7 @@
 """Every configuration that comes with the program runs, at a low resolution, and gives what its comment promises."""
 
 import functools
+import importlib.util
 import io
 import json
 import weakref
@@ -274,6 +275,94 @@ def test_crush_animation(small, summary):
     assert summary(record, "crush")["strain_max"] == pytest.approx(0.6)
     with Image.open(folder / "crushing" / "animation.png") as animation:
         assert animation.n_frames == 13
+
+
+def rows_of(folder):
+    """The rows of a sweep by their structure."""
+    return {row["structure"]: row for row in json.loads((folder / "sweep.json").read_text())}
+
+
+def test_compare_structures(small):
+    _, folder = small("compare_structures")
+    rows = rows_of(folder)
+    assert len(rows) == 22
+    for name, row in rows.items():
+        assert row["tuned.porosity"] == pytest.approx(0.7, abs=0.02)
+        assert row["elastic.bounds.within_voigt_and_reuss"] == 1
+        if name not in ("stochastic_gyroid", "closed_foam"):  # their walls are thinner than these voxels
+            assert [row[f"phases.solid_wraps.{axis}"] for axis in (1, 2, 3)] == [1, 1, 1], name
+            assert 0 < row["sizes.solid.mean"] < 1 < row["pores.tortuosity.1"], name
+    assert rows["octet"]["elastic.zener"] > 1 > rows["simple_cubic"]["elastic.zener"]
+    table = (folder / "comparison.md").read_text().splitlines()
+    assert len(table) == 2 + len(rows)
+    assert len({line.count("|") for line in table}) == 1
+    for name in ("comparison.png", "structures.png"):
+        with Image.open(folder / name) as image:
+            assert min(image.size) > 200
+
+
+def test_property_map(small):
+    """More pores are less permeable and have more surface; the gyroid is stiffer than the paper's pores."""
+    _, folder = small("property_map")
+    few, many, gyroid = (rows_of(folder)[name] for name in ("wide_16", "wide_64", "gyroid_1"))
+    assert few["sound.permeability"] > 1.5 * many["sound.permeability"] > 0
+    assert many["sizes.specific_surface"] > 1.3 * few["sizes.specific_surface"]
+    assert gyroid["elastic.isotropic.E"] > 1.2 * few["elastic.isotropic.E"]
+    assert 0 < few["sound.absorption_at.1000"] < many["sound.absorption_at.1000"] < 1
+    assert (folder / "property_map.md").read_text().count("\n") == 5
+    with Image.open(folder / "property_map.png") as image:
+        assert image.size == (3000, 680)
+
+
+def test_walls_are_as_stiff_as_the_gyroid(small):
+    """The preset's limit of fine grids is 1.18 gyroids; thin walls on this coarse grid look stiffer than that."""
+    _, folder = small("walls_stiffness")
+    rows = rows_of(folder)
+    young = {name: row["elastic.isotropic.E"] for name, row in rows.items()}
+    assert young["stiff"] > 1.2 * young["gyroid"] > 2 * young["paper"]
+    assert rows["stiff"]["elastic.deviation_invariant"] < 0.03 < rows["paper"]["elastic.deviation_invariant"]
+
+
+def test_stiffest(small):
+    """Walls beside tunnels, on a coarse grid."""
+    _, folder = small("stiffest")
+    rows = rows_of(folder)
+    young = {name: row["elastic.isotropic.E"] for name, row in rows.items()}
+    assert young["walls_hyper_mbdst_20"] > young["tunnels_hyper_mbdst_20"] > 0
+    assert all(young[name] < row["elastic.bounds.hashin_shtrikman_young.2"] for name, row in rows.items())
+    assert {"stiffest.png", "permeable.png", "stiffest.md"} <= outputs(folder)
+
+
+def test_stiffest_grid(small):
+    _, folder = small("stiffest_grid")
+    rows = rows_of(folder)
+    assert rows["walls"]["elastic.isotropic.E"] > rows["tunnels"]["elastic.isotropic.E"] > 0
+    assert {"grid.png", "grid.md"} <= outputs(folder)
+
+
+def test_crush_structures(small):
+    _, folder = small("crush_structures")
+    rows = rows_of(folder)
+    for row in rows.values():
+        assert row["crush.numbers.relative_density"] == pytest.approx(0.3, abs=0.03)
+        assert 0.2 < row["measured.energy_25"] < row["measured.energy_40"] < 0.4 * 29
+    # struts bend before walls do
+    assert rows["tpms_p"]["measured.energy_25"] > 1.3 * rows["sppm_1"]["measured.energy_25"]
+    assert len((folder / "crushed.md").read_text().splitlines()) == 4
+
+
+def test_published_curves(small, tmp_path):
+    _, folder = small("published_curves")
+    rows = rows_of(folder)
+    assert len(rows) == 5
+    assert all(row["elastic.bounds.bulk_within"] == 1 for row in rows.values())
+    path = digests.ROOT / "plugins" / "sppm-structures" / "examples" / "draw_published_curves.py"
+    spec = importlib.util.spec_from_file_location("draw_published_curves", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.draw(folder, tmp_path / "curves.png")
+    with Image.open(tmp_path / "curves.png") as image:
+        assert image.size == (1000, 720)
 
 
 @pytest.mark.parametrize("name", sorted(digests.SMALL))
