@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -115,13 +116,27 @@ def prepare(folder: Path, rows: int, *trouble: str) -> Path:
     return file
 
 
-@pytest.fixture
-def cluster():
-    """Two workers, as the executor starts them, in the hands of the test."""
+@contextlib.contextmanager
+def two_workers():
+    """A cluster of two workers, as the executor starts them."""
     with (
         dask.config.set(LOCAL),
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=100) as cluster,
     ):
+        yield cluster
+
+
+@pytest.fixture
+def cluster():
+    """Two workers in the hands of the test."""
+    with two_workers() as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def lasting():
+    """Two workers of several tests, which may kill some: others take their places."""
+    with two_workers() as cluster:
         yield cluster
 
 
@@ -161,20 +176,20 @@ workers.program_digest = lambda: "0" * 64
 """
 
 
-def test_two_hundred_rows_have_the_bytes_of_a_serial_sweep_though_a_worker_is_killed(cluster, tmp_path):
-    file = prepare(tmp_path, 200)
+def test_eighty_rows_have_the_bytes_of_a_serial_sweep_though_a_worker_is_killed(lasting, tmp_path):
+    file = prepare(tmp_path, 80)
     serial, alone = swept(file, "serial", "serial")
-    (tmp_path / "once-101").touch()
-    record, folder = swept(file, "cluster", f"dask:{cluster.scheduler_address}")
-    assert not (tmp_path / "once-101").exists()  # the worker has died
-    assert statuses(serial) == statuses(record) == ["done"] * 200
+    (tmp_path / "once-41").touch()
+    record, folder = swept(file, "cluster", f"dask:{lasting.scheduler_address}")
+    assert not (tmp_path / "once-41").exists()  # the worker has died
+    assert statuses(serial) == statuses(record) == ["done"] * 80
     assert outputs(alone) == outputs(folder)
-    assert len(outputs(alone)) == 200 + 3
+    assert len(outputs(alone)) == 80 + 3
 
 
-def test_a_deadly_row_fails_alone(cluster, tmp_path):
+def test_a_deadly_row_fails_alone(lasting, tmp_path):
     file = prepare(tmp_path, 6, "always-2")
-    record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}")
+    record, folder = swept(file, "out", f"dask:{lasting.scheduler_address}")
     assert record["status"] == "failed"
     assert statuses(record) == ["done", "done", "failed", "done", "done", "done"]
     assert record["runs"][2]["error"]["exit_code"] == 6
@@ -295,12 +310,12 @@ def test_a_canceled_sweep_leaves_nobody_behind_and_goes_on(tmp_path):
     assert outputs(tmp_path / "out") == outputs(alone)
 
 
-def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(cluster, tmp_path):
+def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(lasting, tmp_path):
     (tmp_path / "raw.py").write_text(WRITER)
     (tmp_path / "once").write_text("not in serial")
     session = open_session(RunRequest("part.yaml", plugins=(str(tmp_path / "raw.py"),), text=PART))
     found = []
-    for to, executor in (("serial", None), ("cluster", f"dask:{cluster.scheduler_address}")):
+    for to, executor in (("serial", None), ("cluster", f"dask:{lasting.scheduler_address}")):
         path, crew = tmp_path / to, None
         if executor is not None:
             crew = WorkerPool(session.plugins, path, WorkerOptions(workers=2, executor=executor, threads=2))
