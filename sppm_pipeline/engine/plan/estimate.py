@@ -22,6 +22,7 @@ from sppm_pipeline.errors import ConfigError, ResourceError, SppmError, describe
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.report import Report
 from sppm_pipeline.nouns.size import ONE, RecipeSize, Size, sum_of
+from sppm_pipeline.services.jit.kernel_cache import is_kept
 from sppm_pipeline.stage import Stage
 
 if TYPE_CHECKING:
@@ -239,9 +240,11 @@ def _program(entries: int) -> Cost:
 def compiling_cost(plan: Plan) -> Cost:
     """Cost of compiling the kernels that a plan will call and that are not on the disk.
 
-    Where child processes compile, before the first stage, memory is that of the process of the run.
+    Where child processes compile, before the first stage, memory is that of the process of the run. A kernel that was
+    compiled for some of its kinds of arguments counts as compiled: a plan calls few of them for more than one kind, and
+    the process of each later run would be told 155 MB too much.
     """
-    lacking = missing_of(plan)
+    lacking = [kernel for kernel in missing_of(plan) if not is_kept(kernel.place, 1)]
     seconds = sum(kernel.seconds for kernel in lacking)
     apart = seconds >= MIN_SECONDS_AHEAD and os.environ.get(SWITCH, "").lower() != "off"
     return COMPILER._replace(seconds=seconds, memory=COMPILER.memory if lacking and not apart else 0.0)
