@@ -50,6 +50,7 @@ def measure(name: str, folder: Path) -> tuple[list[PlanEstimate], tuple[float, f
     for _ in range(2):
         child = subprocess.Popen(words, stdout=subprocess.DEVNULL)
         _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
         if status:
             raise SystemExit(f"{name}: the run has failed")
     records = sorted((folder / "run").glob("runs/*/run.json")) or [folder / "run" / "run.json"]
