@@ -242,7 +242,7 @@ def compiling_cost(plan: Plan) -> Cost:
 
     Where child processes compile, before the first stage, memory is that of the process of the run. A kernel that was
     compiled for some of its kinds of arguments counts as compiled: a plan calls few of them for more than one kind, and
-    the process of each later run would be told 155 MB too much.
+    each later run would be estimated 155 MB too high.
     """
     lacking = [kernel for kernel in missing_of(plan) if not is_kept(kernel.place, 1)]
     seconds = sum(kernel.seconds for kernel in lacking)
