@@ -5,6 +5,7 @@ import pytest
 
 import sppm_pipeline as sppm
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.features.design.atlas import stiffness_over_struts
 from sppm_pipeline.features.design.numerics.tensor_fit import Fit, interval, orthotropic, stretch_of, turned
 from sppm_pipeline.features.design.stages.design_stiffness import DesignStiffness
 from sppm_pipeline.services.elastic.voigt import engineering_constants, isotropic, mandel, rotated
@@ -123,6 +124,21 @@ def test_the_thinnest_strut_sets_the_size_of_the_cell(found, member, tmp_path):
         means.append(sized.edge_mm * limit_sizes(fine, coarse, (1 / 48, 1 / 24)).mean)
     assert 0.28 < means[0] < means[1]
     assert means[1] == pytest.approx(0.3 / sized.stretch.min(), rel=0.15)  # as coarse as the design is
+
+
+def test_the_atlas_knows_where_to_start():
+    """By measured walls, softer with more struts; of other recipes and porosities nothing is said."""
+
+    def known(porosity=0.72, radius=0.06, joined="connect.mbdst"):
+        stages = {"sample.dart_throwing": {"total": 60}, joined: {}, "field.walls": {"tunnel_radius": radius}}
+        return stiffness_over_struts(stages, porosity)
+
+    rows = known()
+    assert (np.diff([young for _, young, _ in rows]) < 0).all()
+    cell = sppm.cell("dialed", porosity=0.72, seed=3, struts=0.3)
+    measured = sppm.homogenize.voxel(cell, resolution=40).summary()["E_relative"]
+    assert {round(s, 3): e for s, e, _ in rows}[0.3] == pytest.approx(measured, rel=0.25)
+    assert known(porosity=0.95) == known(radius=0.3) == known(joined="connect.mst") == []
 
 
 def test_what_lies_beyond_is_refused_with_the_nearest():

@@ -223,6 +223,7 @@ class DesignSizes(Stage):
     """
 
     name: ClassVar[str] = "design.sizes"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "lower `resolution` or `draws`"
 
     pore: Length | None = option(None, help="mean size of the pores", unit="mm", minimum=1e-4, maximum=1e4)

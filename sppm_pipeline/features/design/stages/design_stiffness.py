@@ -12,6 +12,7 @@ import numpy as np
 from sppm_pipeline import Context, Microstructure, Palette, Recipe, RecipeSize, ScalarField, Stage, option, options
 from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.features.design.atlas import stiffness_over_struts
 from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit, interval, orthotropic, stretch_of
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
@@ -20,7 +21,7 @@ from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_poro
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.size import Size, sum_of
 from sppm_pipeline.services.arrays import F64
-from sppm_pipeline.services.elastic.voigt import mandel, rotated
+from sppm_pipeline.services.elastic.voigt import isotropic, mandel, rotated
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness
 
@@ -50,9 +51,11 @@ class DesignStiffness(Stage):
     turned exactly, so that only dials and stretches cost evaluations.
 
     The target is a CSV file of six rows of six numbers in Voigt order xx, yy, zz, yz, xz, xy with engineering shear, or
-    Young's moduli `E`, Poisson's ratios `nu` and shear moduli `G` along the axes. Gauss-Newton steps bring the mean of
-    a few draws, always the same ones, to it; then the mean of all `draws` on the grid of `resolution` is corrected by
-    the same slopes and measured. Each stiffness is the limit of two grids, as of `homogenize.voxel`.
+    Young's moduli `E`, Poisson's ratios `nu` and shear moduli `G` along the axes. The search starts where the atlas of
+    measured designs says, if it has the recipe with `struts` as the dial, else by a scan of the first. Gauss-Newton
+    steps bring the mean of a few draws, always the same ones, to it; then the mean of all `draws` on the grid of
+    `resolution` is corrected by the same slopes and measured. Each stiffness is the limit of two grids, as of
+    `homogenize.voxel`.
 
     What is obtained is that of a large sample: the mean over draws, with its 95 % interval and that in which one more
     cell lies. Mirrored draws are as likely, so that along the recipe's axes entries that mirrors change have the mean
@@ -67,6 +70,7 @@ class DesignStiffness(Stage):
     """
 
     name: ClassVar[str] = "design.stiffness"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "lower `resolution` or `draws`"
 
     target: Path | None = options.target(None, note="a CSV file of a 6 x 6 stiffness", above=None)
@@ -192,7 +196,7 @@ class DesignStiffness(Stage):
         )
 
     def run(self, context: Context, recipe: Recipe) -> StiffnessDesign:
-        """Scan the first dial, search on a few draws, correct and measure on all."""
+        """Start by the atlas or a scan of the first dial, search on a few draws, correct and measure on all."""
         target = self.wanted()
         varied = [varied_option(recipe, name) for name in self.vary]
         free = self.porosity is None
@@ -206,7 +210,9 @@ class DesignStiffness(Stage):
 
         middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
         scan = [(a + share * (b - a), *middle[1:]) for share in SCANNED for a, b in zip(low[:1], high[:1], strict=True)]
-        scanned = [(at, cells.mean(at, np.ones(3), self.search_draws, self._coarse)) for at in (scan or [()])]
+        scanned = self._known(recipe, low, high) or [
+            (at, cells.mean(at, np.ones(3), self.search_draws, self._coarse)) for at in (scan or [()])
+        ]
         x, c = fit.run(searched, fit.first(scanned))
         near = fit.design(x, c)
         if near.distance <= 2 * self.max_distance:  # else the search of few draws says enough
@@ -215,6 +221,15 @@ class DesignStiffness(Stage):
             raise self._unreachable(near, fit)
         strut = 0.0 if self.min_strut is None else cells.strut(x[:-2])
         return self._report(recipe, fit, x, near, draws, bar, target, strut)
+
+    def _known(
+        self, recipe: Recipe, low: tuple[float, ...], high: tuple[float, ...]
+    ) -> list[tuple[tuple[float, ...], F64]]:
+        """Dials and stiffnesses by the atlas, if the share of struts is the dial of a recipe that it has."""
+        if self.porosity is None or len(self.vary) != 1 or self.vary[0].rpartition(".")[2] != "struts":
+            return []
+        rows = stiffness_over_struts(recipe.options(), self.porosity)
+        return [((share,), isotropic(e, v)) for share, e, v in rows if low[0] <= share <= high[0]]
 
     def _corrected(self, fit: Fit, cells: _Cells, x: F64) -> tuple[F64, Design, F64, float]:
         """The better one of what was found and of a step from it by the slopes known, each measured on all draws."""
