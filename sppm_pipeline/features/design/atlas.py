@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.nouns.length import Length, parse_length
+from sppm_pipeline.nouns.length import parse_length
 from sppm_pipeline.services.arrays import F64
 
 LENGTHS, ROUGH, NOISE = (0.4, 0.8, 1.6), (0.0, 0.1, 1.0), (0.01, 0.05, 0.2)
@@ -290,37 +290,6 @@ class Atlas:
         logs, half = self.logs(family, scaled(family, values))
         scale = PORES ** (-np.array(list(LENGTH_POWERS.values())) / 3)
         return np.exp(logs[0] - half) * scale, np.exp(logs[0] + half) * scale
-
-
-def stiffness_over_struts(
-    options: Mapping[str, Mapping[str, Any]], porosity: float
-) -> list[tuple[float, float, float]]:
-    """Shares of struts with Young's modulus and Poisson's ratio that the atlas has for walls of a recipe.
-
-    Empty if the atlas has no such recipe, porosity or holes.
-
-    Parameters
-    ----------
-    options : mapping of stage to options
-        As of `Recipe.options`.
-    porosity : float
-    """
-    family = {"sample.dart_throwing": "thrown_walls", "sample.hyperuniform": "walls"}.get(next(iter(options), ""), "")
-    radius = options.get("field.walls", {}).get("tunnel_radius")
-    total = next(iter(options.values()), {}).get("total")
-    if list(options)[1:] != ["connect.mbdst", "field.walls"] or not (family and radius and total):
-        return []
-    hole = (radius.in_cells(None) if isinstance(radius, Length) else float(radius)) * total ** (1 / 3)
-    ranges = FAMILIES[family].ranges
-    values = {POROSITY: porosity, "hole": hole}
-    if any(not ranges[name][0] <= value <= ranges[name][1] for name, value in values.items()):
-        return []
-    low, high = ranges["struts"]
-    shares = [low + k / 8 * (high - low) for k in range(9)]
-    at = np.concatenate([scaled(family, {**values, "struts": share}) for share in shares])
-    found = np.exp(Atlas.read().logs(family, at)[0])
-    young, poisson = (found[:, PROPERTIES.index(name)] for name in ("E_relative", "poisson"))
-    return [(s, float(e), float(v)) for s, e, v in zip(shares, young, poisson, strict=True)]
 
 
 class _Condition(NamedTuple):

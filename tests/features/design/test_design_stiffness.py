@@ -5,9 +5,8 @@ import pytest
 
 import sppm_pipeline as sppm
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
-from sppm_pipeline.features.design.atlas import stiffness_over_struts
 from sppm_pipeline.features.design.numerics.tensor_fit import Fit, interval, orthotropic, stretch_of, turned
-from sppm_pipeline.features.design.stages.design_stiffness import DesignStiffness
+from sppm_pipeline.features.design.stages.design_stiffness import DesignStiffness, stiffness_over_struts
 from sppm_pipeline.services.elastic.voigt import engineering_constants, isotropic, mandel, rotated
 from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -12,7 +12,7 @@ import numpy as np
 from sppm_pipeline import Context, Microstructure, Palette, Recipe, RecipeSize, ScalarField, Stage, option, options
 from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
-from sppm_pipeline.features.design.atlas import stiffness_over_struts
+from sppm_pipeline.features.design.atlas import FAMILIES, POROSITY, PROPERTIES, Atlas, scaled
 from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit, interval, orthotropic, stretch_of
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
@@ -272,6 +272,37 @@ class DesignStiffness(Stage):
             if ends
             else "no dial ends there: another recipe or porosity may come nearer, or raise `max_distance`",
         )
+
+
+def stiffness_over_struts(
+    options: Mapping[str, Mapping[str, Any]], porosity: float
+) -> list[tuple[float, float, float]]:
+    """Shares of struts with Young's modulus and Poisson's ratio that the atlas has for walls of a recipe.
+
+    Empty if the atlas has no such recipe, porosity or holes.
+
+    Parameters
+    ----------
+    options : mapping of stage to options
+        As of `Recipe.options`.
+    porosity : float
+    """
+    family = {"sample.dart_throwing": "thrown_walls", "sample.hyperuniform": "walls"}.get(next(iter(options), ""), "")
+    radius = options.get("field.walls", {}).get("tunnel_radius")
+    total = next(iter(options.values()), {}).get("total")
+    if list(options)[1:] != ["connect.mbdst", "field.walls"] or not (family and radius and total):
+        return []
+    hole = (radius.in_cells(None) if isinstance(radius, Length) else float(radius)) * total ** (1 / 3)
+    ranges = FAMILIES[family].ranges
+    values = {POROSITY: porosity, "hole": hole}
+    if any(not ranges[name][0] <= value <= ranges[name][1] for name, value in values.items()):
+        return []
+    low, high = ranges["struts"]
+    shares = [low + k / 8 * (high - low) for k in range(9)]
+    at = np.concatenate([scaled(family, {**values, "struts": share}) for share in shares])
+    found = np.exp(Atlas.read().logs(family, at)[0])
+    young, poisson = (found[:, PROPERTIES.index(name)] for name in ("E_relative", "poisson"))
+    return [(s, float(e), float(v)) for s, e, v in zip(shares, young, poisson, strict=True)]
 
 
 class _Cells:
