@@ -99,12 +99,29 @@ def _pipeline(name: str, folder: Path) -> int:
     return 0
 
 
-def _design(kind: str, mesh: Path, printer: str | None, folder: Path) -> int:
-    from sppm_pipeline.nouns import cards
+CAD = (".step", ".stp", ".iges", ".igs")
+"""Endings of files that `read.cad` reads, a stage of a plugin."""
 
+
+def _design(kind: str, mesh: Path, printer: str | None, folder: Path) -> int:
     if not mesh.is_file():
         raise ConfigError(f"{str(mesh)!r} is no file", hint=f"give the mesh to fill: sppm new {kind} my.stl")
-    name = re.sub(r"[^A-Za-z0-9_-]+", "_", f"{mesh.stem}_{kind}")
+    name = design_name(mesh, kind)
+    path = folder / f"{name}.yaml"
+    _write(path, design_text(kind, Path(os.path.relpath(mesh, folder)), name, printer))
+    print(f"{path}\nnext: sppm check {path}, then sppm run {path}")
+    return 0
+
+
+def design_name(mesh: Path, kind: str) -> str:
+    """The name of what a mesh is made to."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", f"{mesh.stem}_{kind}")
+
+
+def design_text(kind: str, mesh: Path, name: str, printer: str | None) -> str:
+    """The configuration of one of `DESIGNS` for a mesh, as its path is to be written, with layers for a printer."""
+    from sppm_pipeline.nouns import cards
+
     sliced, write = "pixel: 0.05 mm", "write.png, path: slices"
     if printer is not None:
         card = cards().printers.get(printer)
@@ -112,13 +129,12 @@ def _design(kind: str, mesh: Path, printer: str | None, folder: Path) -> int:
             raise ConfigError(f"there is no printer {printer!r}", hint="`sppm printers` lists them")
         ending = {"nanodlp": "zip"}.get(card.format, card.format)
         sliced, write = f"printer: {printer}, layer: 0.05 mm", f"write.{card.format}, path: {name}.{ending}"
-    path = folder / f"{name}.yaml"
-    names = {"my_design": name, '"my_part"': json.dumps(Path(os.path.relpath(mesh, folder)).as_posix())}
+    names = {"my_design": name, '"my_part"': json.dumps(mesh.as_posix(), ensure_ascii=False)}
+    if mesh.suffix.lower() in CAD:
+        names["read.mesh"] = "read.cad"
     text = (TEMPLATES / "designs" / f"{kind}.yaml").read_text(encoding="utf-8")
-    text = re.sub("|".join(names), lambda found: names[found[0]], text)
-    _write(path, f"{text}  - {{stage: slice.field, {sliced}}}\n  - {{stage: check.print}}\n  - {{stage: {write}}}\n")
-    print(f"{path}\nnext: sppm check {path}, then sppm run {path}")
-    return 0
+    text = re.sub("|".join(map(re.escape, names)), lambda found: names[found[0]], text)
+    return f"{text}  - {{stage: slice.field, {sliced}}}\n  - {{stage: check.print}}\n  - {{stage: {write}}}\n"
 
 
 def _plugin(name: str, kind: str, folder: Path) -> int:

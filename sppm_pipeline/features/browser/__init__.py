@@ -23,8 +23,8 @@ def sppm_commands() -> dict[str, Command]:
             f"{__name__}.live.serving:execute",
         ),
         "studio": Command(
-            "design a cell in the browser, and save it as a configuration", f"{__name__}.studio.server:configure",
-            f"{__name__}.studio.server:execute",
+            "design a cell or fill a part in the browser, and save it as a configuration",
+            f"{__name__}.studio.server:configure", f"{__name__}.studio.server:execute",
         ),
     }  # fmt: skip
 

@@ -13,7 +13,7 @@ import numpy as np
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerWriter, StoredLayers
-from sppm_pipeline.method.nouns.printer import Printer, Resin, cards
+from sppm_pipeline.method.nouns.printer import Job, Printer, Resin, cards
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.services.arrays import U8
 from sppm_pipeline.stage import Context, Headline, option
@@ -57,46 +57,6 @@ def unplaced(picture: U8, place: Place, shape: tuple[int, ...], printer: Printer
     image = picture[place.top : place.top + shape[0], place.left : place.left + shape[1]]
     image = image[:: -1 if printer.mirror_y else 1, :: -1 if printer.mirror_x else 1]
     return image[::-1].T if printer.portrait else image
-
-
-@dataclass(frozen=True)
-class Job:
-    """All that a printer's file says beside its layers, and what follows from it."""
-
-    name: str  # of the job: the name of the file without its extension
-    printer: Printer
-    resin: Resin
-    layers: int
-    layer_mm: float
-    gray: bool  # whether pixels have values between black and white
-    volume_mm3: float  # solid volume
-
-    def exposure_s(self, layer: int) -> float:
-        """Exposure of a layer, counted from 0."""
-        return self.resin.exposure_s[layer >= self.resin.bottom_layers]
-
-    @property
-    def seconds(self) -> float:
-        """Time of the print: exposures, ways and rests, without acceleration."""
-        bottom = min(self.resin.bottom_layers, self.layers)
-        first, other = (
-            e + self.printer.motion.seconds(b) for e, b in zip(self.resin.exposure_s, (True, False), strict=True)
-        )
-        return bottom * first + (self.layers - bottom) * other
-
-    @property
-    def milliliters(self) -> float:
-        """Resin that becomes solid; what is washed away comes on top."""
-        return self.volume_mm3 / 1000
-
-    @property
-    def grams(self) -> float:
-        return self.milliliters * self.resin.density_g_ml
-
-    @property
-    def price(self) -> float | None:
-        """Price of the resin that becomes solid; None if its card names none."""
-        return None if self.resin.price_per_liter is None else self.milliliters / 1000 * self.resin.price_per_liter
 
 
 class Preview:

@@ -223,6 +223,46 @@ class Resin:
     measured: bool  # False for a model, whose numbers are of a usual size only
 
 
+@dataclass(frozen=True)
+class Job:
+    """All that a printer's file says beside its layers, and what follows from it."""
+
+    name: str  # of the job: the name of the file without its extension
+    printer: Printer
+    resin: Resin
+    layers: int
+    layer_mm: float
+    gray: bool  # whether pixels have values between black and white
+    volume_mm3: float  # solid volume
+
+    def exposure_s(self, layer: int) -> float:
+        """Exposure of a layer, counted from 0."""
+        return self.resin.exposure_s[layer >= self.resin.bottom_layers]
+
+    @property
+    def seconds(self) -> float:
+        """Time of the print: exposures, ways and rests, without acceleration."""
+        bottom = min(self.resin.bottom_layers, self.layers)
+        first, other = (
+            e + self.printer.motion.seconds(b) for e, b in zip(self.resin.exposure_s, (True, False), strict=True)
+        )
+        return bottom * first + (self.layers - bottom) * other
+
+    @property
+    def milliliters(self) -> float:
+        """Resin that becomes solid; what is washed away comes on top."""
+        return self.volume_mm3 / 1000
+
+    @property
+    def grams(self) -> float:
+        return self.milliliters * self.resin.density_g_ml
+
+    @property
+    def price(self) -> float | None:
+        """Price of the resin that becomes solid; None if its card names none."""
+        return None if self.resin.price_per_liter is None else self.milliliters / 1000 * self.resin.price_per_liter
+
+
 def _size(lengths: tuple[float, ...]) -> str:
     return f"{' x '.join(f'{length:.5g}' for length in lengths)} mm"
 

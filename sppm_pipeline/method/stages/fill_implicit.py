@@ -174,7 +174,22 @@ class ImplicitFill(Stage):
     def run(
         self, context: Context, field: ScalarField, domain: SurfaceMesh, skin_near: SurfaceMesh | None = None
     ) -> Part:
-        """Put the two together."""
+        """Put the two together, and measure what the skin seals."""
+        part = self.filled(context, field, domain, skin_near)
+        if part.skin_mm:
+            sealed = sealed_void(part, context.threads)
+            context.report(sealed_mm3=sealed)
+            if sealed > WARNED_VOID * float(np.prod(part.domain.upper - part.domain.lower)):
+                context.warn(
+                    f"the skin of {part.skin_mm:g} mm seals about {sealed:.3g} mm3 of void, in which liquid resin or "
+                    "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
+                )
+        return part
+
+    def filled(
+        self, context: Context, field: ScalarField, domain: SurfaceMesh, skin_near: SurfaceMesh | None = None
+    ) -> Part:
+        """The part, of which nothing has been measured."""
         if self.skin_within is not None and skin_near is None:
             raise ConfigError(
                 "`skin_within` is a distance from a mesh, and none is wired to the port `skin_near`",
@@ -201,14 +216,6 @@ class ImplicitFill(Stage):
             part = replace(part, solid_mm=self.solid_within.mm(), solid_faces=faces)
         if self.border == "frame":
             part = replace(part, fills=self._frame(context, domain, edge))
-        if part.skin_mm:
-            sealed = sealed_void(part, context.threads)
-            context.report(sealed_mm3=sealed)
-            if sealed > WARNED_VOID * float(np.prod(domain.upper - domain.lower)):
-                context.warn(
-                    f"the skin of {part.skin_mm:g} mm seals about {sealed:.3g} mm3 of void, in which liquid resin or "
-                    "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
-                )
         return part
 
     def _frame(self, context: Context, domain: SurfaceMesh, edge: float) -> F64:

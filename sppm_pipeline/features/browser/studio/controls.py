@@ -160,6 +160,7 @@ class Control:
     written: bool = True  # it stands in the file; the page shows these first
     optional: bool = False  # it may be left out
     instant: str = ""  # which of `INSTANT` it is; empty for others
+    role: str = ""  # stage and option, by which the page knows those of a part
 
 
 def controls_of(plan: Plan, steps: Sequence[Step], registry: Registry, known: Mapping[str, Place]) -> list[Control]:
@@ -197,9 +198,9 @@ def _of_stage(step: Step, place: str, at: Mapping[tuple[int, int], str]) -> Iter
                 continue
             key = at[where.line, where.column]
             label = written.node.param or name
-        instant = name if step.stage.name == "field.gaussian" and name in INSTANT else ""
+        role = f"{step.stage.name}.{name}"
         value = plain_option(getattr(step.stage, name))
-        yield from _control(declared[name], key, step.address, label, value, written is not None, instant)
+        yield from _control(declared[name], key, step.address, label, value, written is not None, role)
 
 
 def _of_preset(plan: Plan, recipe: str, place: str, registry: Registry) -> Iterator[Control]:
@@ -216,15 +217,17 @@ def _of_preset(plan: Plan, recipe: str, place: str, registry: Registry) -> Itera
             current = node[param].node.value if written else preset.params[param]
             if isinstance(current, list):
                 current = [item.value if isinstance(item, Node) else item for item in current]
-            instant = name if entry["stage"] == "field.gaussian" and name in INSTANT else ""
-            yield from _control(option, f"{place}{param}", recipe, param, current, written, instant)
+            role = f"{entry['stage']}.{name}"
+            yield from _control(option, f"{place}{param}", recipe, param, current, written, role)
 
 
 def _control(
-    option: Option, key: str, group: str, label: str, value: Any, written: bool, instant: str
+    option: Option, key: str, group: str, label: str, value: Any, written: bool, role: str
 ) -> Iterator[Control]:
     """The control of an option, if it is of a kind that a slider, a box or a list of words can change."""
     spec = option.spec
+    stage, _, name = role.rpartition(".")
+    instant = name if stage == "field.gaussian" and name in INSTANT else ""
     members = typing.get_args(option.kind) if isinstance(option.kind, types.UnionType) else (option.kind,)
     kinds = [member for member in members if member is not types.NoneType]
     parts = typing.get_args(kinds[0]) if typing.get_origin(kinds[0]) is tuple else ()
@@ -238,7 +241,7 @@ def _control(
     slider = _slider(spec, numbers, kind == "integer") if numbers and kind not in ("choice", "flag") else None
     yield Control(
         key, group, label, spec.help, spec.unit or "", allowed_words(option), kind, listed, spec.choices, slider,
-        written, types.NoneType in members or not option.required, instant,
+        written, types.NoneType in members or not option.required, instant, role,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import stat
+import tempfile
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,6 +14,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
 from sppm_pipeline.engine.config.document import RECORD_KEY, compose, yaml_text
 from sppm_pipeline.engine.config.problems import raise_problems
@@ -23,11 +25,23 @@ from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run.memory import run_in_memory
+from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, ResourceError, SppmError
 from sppm_pipeline.features.browser.live.page import head_of
 from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.studio.controls import Control, controls_of, places, with_values
+from sppm_pipeline.features.browser.studio.parts import (
+    output_of,
+    part_numbers,
+    printed_numbers,
+    property_document,
+    report_of,
+    scratch_of,
+    seconds_of_layers,
+    surface_of,
+)
+from sppm_pipeline.features.browser.studio.preview import quick_steps
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.tileset import TileSet
@@ -55,6 +69,12 @@ pipeline:
 
 SAMPLES = 400_000
 """Samples of fields that the browser does not sum itself, in about 1 s."""
+
+PART_SAMPLES = 900_000
+"""Samples of a part as it will be, 0.6 mm apart in a cube of 60 mm; its preview has `SAMPLES`, as it must be quick."""
+
+CACHE = 10**9
+"""Bytes of results that are kept while the page is open, so that going back is quick."""
 
 RESOLUTION = 32
 """Voxels along a cell edge for stiffness and connectivity while the user waits, about 0.3 s; twice as many take eight
@@ -91,17 +111,18 @@ class Target:
 class Design:
     """A configuration, what may be changed of it, and the cell last made; `file` is the one that may be saved to.
 
-    The file of the request need not exist if that has a text. `SppmError` if the configuration can't be read, or makes
-    nothing that can be shown.
+    The file of the request need not exist if that has a text; nor need `file` if it is `fresh`. `SppmError` if the
+    configuration can't be read, or makes nothing that can be shown.
     """
 
-    def __init__(self, request: RunRequest, file: Path | None, threads: int) -> None:
+    def __init__(self, request: RunRequest, file: Path | None, threads: int, *, fresh: bool = False) -> None:
         if request.text is None:
             request = dataclasses.replace(request, text=_text_of(request), folder=str(Path(request.file).parent))
+        self.request = request
         self.text = request.text or ""
         self.file = file
         self.threads = threads
-        self._saved = self.text
+        self._saved: str | None = None if fresh else self.text
         self._session = open_session(request)
         plan = self._session.plan()
         self.name = plan.name
@@ -111,6 +132,7 @@ class Design:
                 "no stage of the configuration makes a field, so that there is nothing to be shown",
                 hint="add a stage such as `field.gaussian`, or leave the file out to begin with a cell",
             )
+        self.is_part = all(issubclass(kind, Part) for kind in self.targets[0].makes)
         known = places(self.text)
         self.controls: dict[str, list[Control]] = {
             target.name: controls_of(plan, _in_play(plan, target), self._session.registry, known)
@@ -120,7 +142,11 @@ class Design:
         self._saving = threading.Lock()
         self._newest = interruption.Stop()
         self._asking = threading.Lock()
-        self._last: tuple[tuple[str, str], Any] | None = None
+        self._last: tuple[tuple[str, str], Any, dict[str, Any]] | None = None
+        self._scratch = scratch_of(self)
+        self._store = Store(self._scratch / "cache", CACHE)
+        self._drains: tuple[tuple[float, ...], ...] = ()
+        self._ran: tuple[str, Plan, Path, dict[str, Any]] | None = None
 
     def text_with(self, changes: Mapping[str, Any]) -> str:
         """The configuration with other values, by the keys of controls."""
@@ -132,28 +158,53 @@ class Design:
         same = {key for key, value in changes.items() if value is None and not keys[key].written}
         return with_values(self.text, {key: value for key, value in changes.items() if key not in same})
 
-    def cell(self, changes: Mapping[str, Any], target: str) -> tuple[dict[str, Any], bytes]:
-        """Text, numbers and view file of the changed configuration; `SppmError` or `Superseded` if there is none."""
+    def cell(self, changes: Mapping[str, Any], target: str, *, quick: bool = False) -> tuple[dict[str, Any], bytes]:
+        """Text, numbers and view file of the changed configuration; `SppmError` or `Superseded` if there is none.
+
+        With `quick` a part is filled with one block of cells that is repeated, and has the drains that were found last.
+        """
         with self._turn():
-            return self._cell(changes, target)
+            return self._cell(changes, target, quick)
 
     def numbers(self, changes: Mapping[str, Any], target: str) -> dict[str, Any]:
-        """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none."""
+        """Connectivity and stiffness of the cell, or stiffness and permeability of the infill of a part, which take
+        longer; of tilings and tile sets there are none.
+        """
+        with self._turn():
+            made, said = self._exact(changes, target)
+            if isinstance(made, Part):
+                return self._part_properties(said)
+            if isinstance(made, (TileSet, Tiling)):
+                return {}
+            return self._measured({"sppm": FORMAT, "name": "numbers", "pipeline": [*NUMBERS]}, {"cell": made})
+
+    def run(self, changes: Mapping[str, Any], *, long: bool = False) -> dict[str, Any]:
+        """What the whole configuration says of the print; how long it would take if that is long and not asked for."""
         with self._turn():
             text = self.text_with(changes)
-            # the cell that is shown is most often the one whose numbers are asked for
-            if self._last is None or self._last[0] != (text, target):
-                self._cell(changes, target)
-            assert self._last is not None
-            made = self._last[1]
-            if isinstance(made, (TileSet, Tiling, Part)):
-                return {}
-            document = {"sppm": FORMAT, "name": "numbers", "pipeline": [dict(entry) for entry in NUMBERS]}
-            configuration, _ = parse_configuration(compose(document, "numbers"), Path("numbers"), ".")
-            plan = make_plan(configuration, self._session.registry, available={"cell": (type(made),)})
-            record = run_in_memory(plan, threads=self.threads, available={"cell": made}).record
-            found: dict[str, Any] = {entry["id"]: jsonable(entry["summary"]) for entry in record["stages"]}
-            return found
+            if not long and not (self._ran and self._ran[0] == text):
+                expected = seconds_of_layers(self._with_text(text).plan())
+                if expected is not None:
+                    return {"expected_s": expected / self.threads}
+            return printed_numbers(self._run(text)[2])
+
+    def file_of(self, changes: Mapping[str, Any], target: str, what: str) -> tuple[str, bytes]:
+        """Name and content of the "stl", "picture", "print" file or "report" of the changed configuration."""
+        with self._turn():
+            made, said = self._exact(changes, target)
+            if not isinstance(made, Part):
+                raise ConfigError("files are made of a part; run the configuration for others")
+            if what == "stl":
+                with tempfile.TemporaryDirectory(dir=self._scratch) as folder:
+                    strut = said["part"].get("sizes", {}).get("strut")
+                    path = surface_of(made, strut, Path(folder), self.name, self.threads)
+                    return path.name, path.read_bytes()
+            plan, place, record = self._run(said["yaml"])
+            return (
+                (f"{self.name}.html", report_of(place, made))
+                if what == "report"
+                else output_of(plan, record, place, what)
+            )
 
     def save(self, changes: Mapping[str, Any], *, anyway: bool = False) -> str:
         """Write the changed configuration to its file.
@@ -178,29 +229,80 @@ class Design:
             self._saved = text
         return text
 
-    def _cell(self, changes: Mapping[str, Any], name: str) -> tuple[dict[str, Any], bytes]:
+    def _cell(self, changes: Mapping[str, Any], name: str, quick: bool = False) -> tuple[dict[str, Any], bytes]:
         started = time.perf_counter()
-        target = next((target for target in self.targets if target.name == name), self.targets[0])
+        target = self._target(name)
         text = self.text_with(changes)
         plan = self._with_text(text).plan()
         group = plan.recipes[target.recipe] if target.recipe else plan.steps
-        alone = dataclasses.replace(plan, steps=_needed(group, target.step), plugins=())
+        steps, last = _needed(group, target.step), target.step
+        short = quick_steps(steps) if quick else None
+        if short is not None:
+            steps, last = short, short[-1].id
+        alone = dataclasses.replace(plan, steps=steps, plugins=())
         # what is too large for this machine is refused before it runs
         raise_problems(unfit_problems([estimate_plan(alone)], Path(".")))
-        memory = run_in_memory(alone, threads=self.threads)
-        made = memory.result(target.step)
-        view = view_of(made, samples=SAMPLES, threads=self.threads)
-        self._last = (text, name), made
+        memory = run_in_memory(alone, threads=self.threads, store=self._store)
+        made = memory.result(last)
+        if isinstance(made, Part):
+            if short is not None:
+                made = dataclasses.replace(made, drains=tuple(dict.fromkeys((*made.drains, *self._drains))))
+            else:
+                self._drains = made.drains
+        fine = PART_SAMPLES if isinstance(made, Part) and short is None else SAMPLES
+        view = view_of(made, samples=fine, threads=self.threads)
         head = head_of(view)
         entries = memory.record["stages"]
         summary = jsonable(entries[-1]["summary"])
+        warnings = [words for entry in entries for words in entry.get("warnings", ())]
+        drained = any(step.stage.name == "fix.drains" for step in steps)  # advice that is followed already
         said = {
-            "yaml": text, "digest": made.digest(), "porosity": head["porosity"],
+            "yaml": text, "digest": made.digest(), "porosity": head["porosity"], "quick": short is not None,
             "numbers": {key: summary[key] for key in ("pores", "tunnels") if key in summary},
-            "warnings": [message for entry in entries for message in entry.get("warnings", ())],
-            "seconds": round(time.perf_counter() - started, 3),
+            "warnings": [] if short else [words for words in warnings if not (drained and "`fix.drains`" in words)],
         }  # fmt: skip
-        return said, view
+        if isinstance(made, Part):
+            said["part"] = part_numbers(plan, made, entries, self.threads)
+        if short is None:
+            self._last = (text, name), made, said
+        return {**said, "seconds": round(time.perf_counter() - started, 3)}, view
+
+    def _target(self, name: str) -> Target:
+        return next((target for target in self.targets if target.name == name), self.targets[0])
+
+    def _exact(self, changes: Mapping[str, Any], name: str) -> tuple[Any, dict[str, Any]]:
+        """What the target makes, and its numbers; most often it was shown just before."""
+        if self._last is None or self._last[0] != (self.text_with(changes), name):
+            self._cell(changes, name)
+        assert self._last is not None
+        return self._last[1], self._last[2]
+
+    def _part_properties(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """Stiffness and permeability of scattered cells like those of the part; empty for others."""
+        plan = self._with_text(said["yaml"]).plan()
+        laid = [step for step in plan.steps if step.stage.name == "tile.scattered"]
+        if len(laid) != 1 or laid[0].inputs.get("grading") is not None:
+            return {}
+        document = property_document(said["yaml"], laid[0], said["part"].get("sizes", {}))
+        return self._measured(document, {})
+
+    def _measured(self, document: Mapping[str, Any], available: Mapping[str, Any]) -> dict[str, Any]:
+        configuration, _ = parse_configuration(compose(document, "numbers"), Path("numbers"), ".")
+        kinds = {id_: (type(made),) for id_, made in available.items()}
+        plan = make_plan(configuration, self._session.registry, available=kinds)
+        record = run_in_memory(plan, threads=self.threads, store=self._store, available=available).record
+        return {entry["id"]: jsonable(entry["summary"]) for entry in record["stages"]}
+
+    def _run(self, text: str) -> tuple[Plan, Path, dict[str, Any]]:
+        """The whole configuration, run into a folder that is kept until another text is run."""
+        if self._ran is None or self._ran[0] != text:
+            self._ran = None
+            plan = self._with_text(text).plan()
+            raise_problems(unfit_problems([estimate_plan(plan)], self._scratch))
+            folder = Path(tempfile.mkdtemp(dir=self._scratch))
+            record = run_plan(plan, folder / "run", threads=self.threads, store=self._store)
+            self._ran = text, plan, folder / "run", record
+        return self._ran[1:]
 
     def _with_text(self, text: str) -> Session:
         """The session with another text; plugins stay as they were loaded."""
@@ -255,7 +357,7 @@ def _replace(file: Path, text: str) -> None:
 
 
 def targets_of(plan: Plan) -> list[Target]:
-    """Targets, the best first: a cell of the pipeline, a recipe's, a tile set, and any other field."""
+    """Targets, the best first: a part of a mesh or scattered cells, a cell, a recipe's, a tile set, any other field."""
     shown = (ScalarField, TileSet)
     found = [
         Target(recipe, step.id, step.makes)
@@ -272,8 +374,12 @@ def targets_of(plan: Plan) -> list[Target]:
 
         if target.recipe:
             return 1
+        if filled and makes(Part):
+            return 0
         return 0 if makes(Microstructure) else 2 if makes(TileSet) else 4 if makes(Tiling, Part) else 3
 
+    # of a file of one's own the part is wanted, and not the cells in it
+    filled = any(step.stage.name in ("read.mesh", "read.cad", "tile.scattered") for step in plan.steps)
     last = {target.name: target for target in found}
     return sorted(last.values(), key=lambda target: (rank(target), -found.index(target)))
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, Headline, Length, Rejected, SliceStack, Stage, option, options
 from sppm_pipeline.features.printing.print_pictures import marked_layer, marked_sheet
 from sppm_pipeline.features.printing.print_report import PrintReport, parse_rule, rounded, trapped
-from sppm_pipeline.features.printing.printer_writer import Job
-from sppm_pipeline.method.nouns.printer import Resin, cards
+from sppm_pipeline.method.nouns.printer import Job, Resin, cards
 from sppm_pipeline.services.arrays import U8, Bools
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import SliceStack, options
-from sppm_pipeline.features.printing.printer_writer import Job, Place, PrinterWriter, thumbnail
+from sppm_pipeline.features.printing.printer_writer import Place, PrinterWriter, thumbnail
 from sppm_pipeline.method.families.layer_writer import EncodedLayers
-from sppm_pipeline.method.nouns.printer import Printer
+from sppm_pipeline.method.nouns.printer import Job, Printer
 from sppm_pipeline.services.arrays import U8, U64
 from sppm_pipeline.services.jit.compiled import jit
 

@@ -2,7 +2,7 @@
 // returns takes other data, and other radii and levels of the kernels, than those it began with; null without WebGL 2.
 async function startLive(bytes) {
   const live = byId("live"), canvas = byId("live-canvas"), still = byId("still");
-  let view, kernels, design, porosity, finer = 0;
+  let view, kernels, design, porosity, loaded, finer = 0;
   try {
     view = headOf(bytes).head.kind === "mesh" ? new MeshView(canvas) : new View(canvas);
   } catch (error) {
@@ -59,11 +59,13 @@ async function startLive(bytes) {
     } else if (kernels) {
       const sums = sumKernels(head, part(arrays.pores, head.pores, 4), part(arrays.tunnels, head.tunnels, 7), n, state.pore, state.tunnel);
       const field = sumBytes(sums, head.top);
-      view.load(field, null, [n, n, n], [1, 1, 1], true);
+      loaded = [field, null, [n, n, n], [1, 1, 1], true];
+      view.load(...loaded);
       porosity = new Porosity(field, null);
     } else {
       const largest = Math.max(...head.size);
-      view.load(arrays.field, arrays.domain || null, head.shape, head.size.map((s) => s / largest), head.periodic);
+      loaded = [arrays.field, arrays.domain || null, head.shape, head.size.map((s) => s / largest), head.periodic];
+      view.load(...loaded);
       porosity = new Porosity(arrays.field, arrays.domain || null);
     }
   }
@@ -85,6 +87,16 @@ async function startLive(bytes) {
     slider("cut-readout").textContent = at < 1 ? `${"xyz"[axis]} ${z.toPrecision(4)} ${head.unit === "cell" ? "cells" : head.unit}` : "no cut";
     canvas.dataset.cut = at < 1 ? String(z) : "";
     return z;
+  }
+
+  // A bar of 1, 2 or 5 times a power of ten, where the page has a place for one.
+  function scaleSaid() {
+    const bar = byId("live-scale"), { width: w, height: h } = canvas, largest = kernels ? head.size[0] : Math.max(...head.size);
+    if (!bar || !view.span) return;
+    const pixel = (Math.max(view.span[0] / (0.92 * w), view.span[1] / (0.92 * h)) / view.camera.zoom) * largest * (w / canvas.clientWidth);
+    const power = 10 ** Math.floor(Math.log10(130 * pixel)), length = power * [5, 2, 1].find((n) => n * power <= 130 * pixel);
+    bar.style.width = `${length / pixel}px`;
+    bar.textContent = `${Number(length.toPrecision(1))} ${head.unit}`;
   }
 
   const settle = (full) => { fill(full ? head.n : Math.min(head.n, 40)); said(); view.changed(); };
@@ -191,6 +203,7 @@ async function startLive(bytes) {
       mark.style.top = `${100 * y}%`;
       mark.classList.toggle("behind", behind || state.cells !== null);
     });
+    scaleSaid();
     Object.assign(canvas.dataset, { passes: String(view.passes), most: String(view.most), scale: String(view.scale), ms: String(Math.round(ms)) });
     if (live.hidden) {
       live.hidden = false;
@@ -202,6 +215,7 @@ async function startLive(bytes) {
   view.changed();
   return {
     head: () => head,
+    shown: () => ({ view, loaded }),
     async load(data) {
       const before = JSON.stringify(view.size);
       ({ head, arrays } = await readView(data));

@@ -1,6 +1,7 @@
 // The studio: values go to the engine, and the cell and the text of the configuration come back. What only changes the
 // kernels' radii or the level is shown at once, before the engine has answered.
 const studio = jsonOf("head-studio"), changed = new Map();
+const waited = studio.part ? ["E", "k", "verdict"] : ["solid", "void", "E"];
 let live = null, request = null, timer = 0, patience = 0, last = null, base = new Map(), saveAnyway = false;
 
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
@@ -74,6 +75,45 @@ function said(text, busy = false) {
   byId("status").classList.toggle("busy", busy);
 }
 
+// What was changed before, to go back to, and what was gone back from.
+const past = [], future = [];
+let present = "[]";
+
+function remember() {
+  const now = JSON.stringify([...changed]);
+  if (now === present) return;
+  past.push(present);
+  future.length = 0;
+  present = now;
+  steps();
+}
+
+function steps() {
+  byId("back").disabled = !past.length;
+  byId("forth").disabled = !future.length;
+}
+
+// Give all controls these values, and those of the file to the others.
+function restore(entries) {
+  const values = new Map(entries);
+  changed.clear();
+  for (const control of all(".control")) {
+    const { key, value } = control.dataset, other = values.has(key);
+    show(control, other ? values.get(key) : JSON.parse(value));
+    if (other) changed.set(key, values.get(key));
+    control.classList.toggle("changed", other);
+  }
+  draw(studio.part);
+}
+
+function travel(from, to) {
+  if (!from.length) return;
+  to.push(present);
+  present = from.pop();
+  steps();
+  restore(JSON.parse(present));
+}
+
 function clearFaults() {
   for (const one of all(".fault")) one.hidden = true;
   for (const one of all(".faulty")) one.classList.remove("faulty");
@@ -106,12 +146,14 @@ function number(key, text, old = false) {
   box.classList.toggle("old", old);
 }
 
-async function draw() {
+// A part is drawn quickly first, and as it will be once nothing has been moved for a while.
+async function draw(quick = false) {
   if (request) request.abort();
   const own = (request = new AbortController()), asked = query();
+  if (quick) asked.set("quick", "1");
   clearTimeout(patience);
   said(live ? "drawing…" : "drawing; the first time kernels are compiled, which takes some seconds…", true);
-  for (const key of ["solid", "void", "E"]) number(key, null, true);
+  for (const key of waited) number(key, null, true);
   try {
     const answer = await fetch(`cell?${asked}`, { signal: own.signal });
     if (answer.status === 409) return;
@@ -123,8 +165,9 @@ async function draw() {
     const bytes = new Uint8Array(await answer.arrayBuffer());
     if (own !== request) return;
     const length = new DataView(bytes.buffer).getUint32(0, true);
-    await answered(JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + length))), bytes.subarray(4 + length));
-    patience = setTimeout(() => count(asked, own), 700);
+    const head = JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + length)));
+    await answered(head, bytes.subarray(4 + length));
+    patience = setTimeout(() => (head.quick ? draw() : count(asked, own)), head.quick ? 500 : 700);
   } catch (error) {
     if (error.name !== "AbortError") said(`no answer: ${error.message}. Is \`sppm studio\` still running?`);
   }
@@ -137,12 +180,19 @@ async function answered(head, view) {
   const link = byId("download");
   if (link.href.startsWith("blob:")) URL.revokeObjectURL(link.href);
   link.href = URL.createObjectURL(new Blob([head.yaml], { type: "application/yaml" }));
-  if (head.porosity !== null) number("porosity", `${(100 * head.porosity).toFixed(2)} %`);
-  for (const key of ["pores", "tunnels"]) number(key, key in head.numbers ? String(head.numbers[key]) : "–");
+  if (head.part) partSaid(head);
+  else if (head.porosity !== null) number("porosity", `${(100 * head.porosity).toFixed(2)} %`);
+  if (!studio.part) for (const key of ["pores", "tunnels"]) number(key, key in head.numbers ? String(head.numbers[key]) : "–");
   byId("warnings").replaceChildren(...head.warnings.map((words) => Object.assign(document.createElement("li"), { textContent: words })));
   base = instants();
   if (live) await live.load(view);
-  else live = await startLive(view);
+  else {
+    live = await startLive(view);
+    if (live && studio.part) { // a skin would hide all that is inside
+      byId("live-cut").value = "0.62";
+      byId("live-cut").dispatchEvent(new Event("input"));
+    }
+  }
   if (live) {
     const { pores, periodic } = live.head(), tiles = byId("live-tile");
     byId("live-repeats").hidden = !periodic;
@@ -150,8 +200,8 @@ async function answered(head, view) {
     while (tiles.length > (pores || []).length) tiles.remove(tiles.length - 1);
     while (pores && tiles.length < pores.length) tiles.add(new Option(String(tiles.length)));
   }
-  byId("status").dataset.drawn = head.digest;
-  said(`drawn in ${head.seconds.toFixed(2)} s`);
+  Object.assign(byId("status").dataset, { drawn: head.digest, seconds: String(head.seconds), quick: head.quick ? "1" : "" });
+  said(`${head.quick ? "preview: one block of 27 cells, repeated," : "drawn"} in ${head.seconds.toFixed(2)} s`);
 }
 
 // Connectivity and stiffness, once nothing has been moved for a while.
@@ -162,6 +212,7 @@ async function count(asked, own) {
     if (answer.status === 409 || own !== request) return;
     const found = await answer.json();
     said(answer.ok ? byId("status").textContent.split(";")[0] : (found.errors ?? []).map((e) => e.message).join(" "));
+    if (studio.part) return partCounted(found, asked, own);
     for (const phase of ["solid", "void"]) {
       const c = found.connectivity;
       number(phase, c ? `${c[`${phase}_components`] === 1 ? "one piece" : `${c[`${phase}_components`]} pieces`}${c[`${phase}_wraps`].every(Boolean) ? "" : ", not through"}` : "–");
@@ -174,9 +225,14 @@ async function count(asked, own) {
 
 function moved(control, soon) {
   take(control);
+  if (!soon) remember();
   preview(soon);
+  later(soon);
+}
+
+function later(soon) {
   clearTimeout(timer);
-  timer = setTimeout(draw, soon ? 90 : 0);
+  timer = setTimeout(() => draw(studio.part), soon ? 90 : 0);
 }
 
 for (const control of all(".control")) {
@@ -186,7 +242,7 @@ for (const control of all(".control")) {
     if (slider) {
       const start = [JSON.parse(control.dataset.value)].flat()[i];
       slider.addEventListener("input", () => { box.value = slider.value + unitOf(start); moved(control, true); });
-      slider.addEventListener("change", () => preview(false));
+      slider.addEventListener("change", () => { remember(); preview(false); });
     }
     box.addEventListener("change", () => {
       if (slider && !Number.isNaN(numberOf(box.value))) slider.value = String(numberOf(box.value));
@@ -208,13 +264,15 @@ if (byId("target")) {
     draw();
   });
 }
-byId("undo").addEventListener("click", () => {
-  changed.clear();
-  for (const control of all(".control")) {
-    show(control, JSON.parse(control.dataset.value));
-    control.classList.remove("changed");
-  }
-  draw();
+byId("undo").addEventListener("click", () => { restore([]); remember(); });
+byId("back").addEventListener("click", () => travel(past, future));
+byId("forth").addEventListener("click", () => travel(future, past));
+document.addEventListener("keydown", (event) => {
+  // text boxes undo by themselves
+  if (event.key.toLowerCase() !== "z" || !(event.ctrlKey || event.metaKey) || event.target.matches(".number")) return;
+  event.preventDefault();
+  if (event.shiftKey) travel(future, past);
+  else travel(past, future);
 });
 byId("copy").addEventListener("click", async () => {
   const file = studio.file || `${studio.name}.yaml`, command = `sppm run ${/^[\w./-]+$/.test(file) ? file : `'${file.replaceAll("'", "'\\''")}'`}`;
@@ -238,4 +296,5 @@ if (byId("save")) {
     }
   });
 }
-draw();
+steps();
+draw(studio.part);
