@@ -40,9 +40,10 @@ def grid_crossings(triangles: F64, normals: F64, grid: Grid, start: int, stop: i
     Those of consecutive ranges of planes, one after the other, are those of the whole grid.
     """
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
-    heights = triangles[:, :, 2]
+    a, b, c = (triangles[:, corner, 2] for corner in range(3))  # much faster than along an axis of three
     low, high = origin[2] + (start - 1) * spacing[2], origin[2] + stop * spacing[2]
-    near = np.flatnonzero((heights.max(1) >= low) & (heights.min(1) <= high)).astype(np.int32)
+    reached = (np.maximum(np.maximum(a, b), c) >= low) & (np.minimum(np.minimum(a, b), c) <= high)
+    near = np.flatnonzero(reached).astype(np.int32)
     shape = np.array(grid.shape)
     # a guess: the kernel counts what it has no room for, and is then called again
     room = 1024 + 2 * len(near)
