@@ -167,15 +167,14 @@ def test_a_time_limit_needs_a_supervisor(capsys):
 
 def test_an_import_or_an_exit_handler_that_hangs_is_named_and_ended(start, tmp_path, monkeypatch):
     monkeypatch.setenv("SPPM_IMPORT_TIME", "8")
-    with start("import " + LOCKED, verb="check") as process:
+    atexit = "import __import__('atexit').register(time.sleep, 600)"
+    with start("import " + LOCKED, verb="check") as process, start(atexit, verb="check") as other:
         _, said = process.communicate(timeout=120)
-    assert process.returncode == 4
+        _, told = other.communicate(timeout=120)
+    assert process.returncode == other.returncode == 4
     assert "sppm: still importing: the plugin" in said
     assert "odd.py took longer than 8 s" in said
-    with start("import __import__('atexit').register(time.sleep, 600)", verb="check") as process:
-        _, said = process.communicate(timeout=120)
-    assert process.returncode == 4
-    assert "an exit handler of a plugin or a library took longer than 8 s" in said
+    assert "an exit handler of a plugin or a library took longer than 8 s" in told
 
 
 def test_each_plugin_is_checked_in_a_child(tmp_path, monkeypatch):

@@ -135,9 +135,9 @@ def test_charts_take_groups_error_bars_and_logarithmic_axes(tmp_path):
         {"hulls": True}, {"y": ("y", "x"), "log_y": (True, False)}, {"y": ("y", "x"), "y_label": ("a", "b")},
     ):  # fmt: skip
         stage = WriteChart(**({"x": "x", "y": "y"} | options))
-        data = run(stage, table, tmp_path)[0]
-        assert run(stage, table, tmp_path)[0] == data
-        seen.add(data)
+        seen.add(run(stage, table, tmp_path)[0])
+    # the last once more
+    assert run(stage, table, tmp_path)[0] in seen
     assert len(seen) == 13
     for wrong, words in (
         ({"log_y": (True, False)}, "`log_y` has 2 values for 1"), ({"y": ("y", "x"), "line": True}, "single column"),

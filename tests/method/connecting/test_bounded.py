@@ -190,7 +190,7 @@ def test_clearance_is_held(mode, periodic):
 @pytest.mark.parametrize("mode", MODES)
 def test_impossible_clearance_names_what_was_met(mode):
     with pytest.raises(DesignError, match=r"\d+ pairs that come closer and meets a clearance of 0\.\d+"):
-        spanning_subgraph(spaced_points(20, 7), (3, 5), mode=mode, clearance=0.6)
+        spanning_subgraph(spaced_points(12, 7), (3, 5), mode=mode, clearance=0.6)
 
 
 @pytest.mark.parametrize("mode", MODES)
