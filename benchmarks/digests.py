@@ -238,7 +238,9 @@ EXAMPLES: Mapping[str, Small] = {
     "foam_ball": _small("", _VIEW, plugins=True),
     "folded": _small("", "tileset.wang_3color.resolution=12; check.residual_periodicity.resolution=8"),
     "graded_stem": _small("", _VIEW),
-    "border": _small("", f"tile.scattered.resolution=16; {_VIEW}"),
+    "border": _small(
+        "", "tile.scattered.resolution=16; write.picture.resolution=6; write.picture.image_size=[200, 150]"
+    ),
     "knot": _small("", f"tile.scattered.resolution=16; {_VIEW}"),
     "lattice_puck": _small("", f"tune.porosity.resolution=24; tune.porosity.tolerance=0.01; {_VIEW}", plugins=True),
     "layers": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.2 mm"),
