@@ -14,8 +14,10 @@ test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	@echo "== checking types, on one processor and for a minute, beside the tests"
+	@$(BIN)/mypy >$(VENV)/types.txt 2>&1 & types=$$!; \
+	$(BIN)/python -m pytest -n auto --dist loadfile; tests=$$?; \
+	wait $$types; types=$$?; cat $(VENV)/types.txt; test $$tests -eq 0 -a $$types -eq 0
 
 test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows; in an environment of its own
 	$(PYTHON) -m venv $(VENV)-oldest
