@@ -254,6 +254,10 @@ def test_a_pipe_is_no_configuration(tmp_path):
 
 
 @pytest.mark.parametrize("mark", ["\u202e", "\u2066", "\u200f"])
-def test_a_name_that_turns_the_order_of_letters_round_is_refused(mark):
+def test_a_name_that_turns_the_order_of_letters_round_is_refused(mark, tmp_path):
     with pytest.raises(ConfigError, match=f"u{ord(mark):04x}"):
         output_parts(f"layers{mark}gnp.exe")
+    path = tmp_path / f"cell{mark}lmay.yaml"
+    path.write_text("sppm: 1\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"the name of the file has the character .u{ord(mark):04x}"):
+        read_yaml(path)

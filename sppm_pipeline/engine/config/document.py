@@ -391,6 +391,8 @@ _UNPRINTABLE = re.compile(
 def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
     """The text of a configuration file; `ConfigError` with line and column if it is too large or no UTF-8."""
     top = Position(file, 1, 1)
+    if (bad := unprintable(file)) is not None:
+        raise ConfigError(f"the name of the file has the character {bad}, which can't be shown", hint="rename the file")
     if len(data) > MAX_BYTES and not is_record:
         raise ConfigError(f"the file is larger than {MAX_BYTES >> 10} KiB, which no configuration needs", where=top)
     for mark, name in _ENCODINGS.items():
