@@ -154,3 +154,17 @@ def test_a_feature_imports_the_faces_alone():
     }
     own = {pair for pair in taken if pair[1].startswith(f"sppm_pipeline.features.{pair[0]}")}
     assert {module for _, module in taken - own} <= faces
+
+
+def test_kernels_that_may_contract_take_no_powers():
+    """Numba compiles a power once in a process, with the flags of whoever asks first: bytes would depend on that."""
+    found = [
+        f"{path.name}:{node.lineno}"
+        for path in python_files()
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(function, ast.FunctionDef)
+        and any(getattr(kind, "id", "") in ("inline_jit", "fused_jit") for kind in function.decorator_list)
+        for node in ast.walk(function)
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)
+    ]
+    assert found == []

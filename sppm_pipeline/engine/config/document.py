@@ -392,7 +392,7 @@ def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
     """The text of a configuration file; `ConfigError` with line and column if it is too large or no UTF-8."""
     top = Position(file, 1, 1)
     if (bad := unprintable(file)) is not None:
-        raise ConfigError(f"the name of the file has the character {bad}, which can't be shown", hint="rename the file")
+        raise ConfigError(f"the name of the file has the character {bad}", hint="rename the file")
     if len(data) > MAX_BYTES and not is_record:
         raise ConfigError(f"the file is larger than {MAX_BYTES >> 10} KiB, which no configuration needs", where=top)
     for mark, name in _ENCODINGS.items():
@@ -405,9 +405,8 @@ def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
         before = data[: error.start].decode("utf-8-sig", "replace")
         raise ConfigError(
             f"byte 0x{data[error.start]:02x} is not UTF-8",
-            where=_place(before, len(before), file),
-            hint="save the file as UTF-8",
-        ) from None
+            where=_place(before, len(before), file), hint="save the file as UTF-8",
+        ) from None  # fmt: skip
 
 
 def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None:
@@ -420,9 +419,8 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
         if words[:1] == ["%YAML"] and words[1:2] not in (["1.1"], ["1.2"]):
             raise ConfigError(
                 f"the file says that it is YAML {' '.join(words[1:2])[:20]}, which can't be read",
-                where=fixed or Position(file, number, 1),
-                hint="remove the line, or write %YAML 1.2",
-            )
+                where=fixed or Position(file, number, 1), hint="remove the line, or write %YAML 1.2",
+            )  # fmt: skip
         if words and not line.startswith(("%", "#")):
             break
     for pattern, message in (

@@ -87,7 +87,8 @@ def _capsule_row(
     t, w = y * ny + z * nz, z * ny - y * nz
     radius2 = reach * reach - w * w
     low, high = 1e12, -1e12
-    near2, end2 = radius2 - t * t, radius2 - (t - ua * length) ** 2
+    end = t - ua * length
+    near2, end2 = radius2 - t * t, radius2 - end * end
     if near2 >= 0.0:
         low, high = -math.sqrt(near2), math.sqrt(near2)
     if end2 >= 0.0:

@@ -38,7 +38,8 @@ def jit(function: F) -> F:
 def inline_jit(function: F) -> F:
     """Compile `function` with reassociation and contraction allowed, for inner loops over contiguous rows.
 
-    Only the flags that let LLVM vectorize are set: NaN and infinity keep their meaning.
+    Only the flags that let LLVM vectorize are set: NaN and infinity keep their meaning. Squares are written as
+    products: Numba compiles a power once in a process, and whether it may be contracted depends on who asked first.
     """
     return cast(F, Kernel(function, {"reassoc", "contract", "arcp", "nsz"}))
 

@@ -243,8 +243,8 @@ def _wall_field(distance: F32, depth: F32, half: np.float32, radius: np.float32)
         top, gap = max(a, b), abs(a - b)
         # the larger of both, and above it where they are within `radius` of each other (soft minimum of two)
         rest = max(radius - gap, np.float32(0.0))
-        other = radius + rest
-        lift = np.float32(0.5) * (other - np.sqrt(max(np.float32(2.0) * radius * radius - (radius - rest) ** 2, 0.0)))
+        other, less = radius + rest, radius - rest
+        lift = np.float32(0.5) * (other - np.sqrt(max(np.float32(2.0) * radius * radius - less * less, 0.0)))
         distance[i] = top + (lift if rest > np.float32(0.0) else np.float32(0.0))
 
 
