@@ -244,6 +244,18 @@ EXAMPLES: Mapping[str, Small] = {
     "knot": _small("", f"tile.scattered.resolution=16; {_VIEW}"),
     "lattice_puck": _small("", f"tune.porosity.resolution=24; tune.porosity.tolerance=0.01; {_VIEW}", plugins=True),
     "layers": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.2 mm"),
+    "loaded_insole": _small(
+        "cell=12 mm",
+        """optimize.density.updates=3; optimize.density.trials=1; optimize.density.law_resolution=16;
+        tile.scattered.resolution=16; tile.scattered.rounds=0; tested.resolution=8; slice.field.layer=0.2 mm;
+        tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
+    ),
+    "loaded_stem": _small(
+        "cell=10 mm",
+        """optimize.density.updates=3; optimize.density.trials=1; optimize.density.law_resolution=16;
+        tile.scattered.resolution=16; tile.scattered.rounds=0; tested.resolution=8; slice.field.layer=0.5 mm; slice.field.pixel=0.4 mm;
+        tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
+    ),
     "modulus": _small("", "tune.porosity.resolution=24; homogenize.voxel.resolution=16"),
     "plate_with_holes": _small("", "tile.scattered.resolution=16; porous.resolution=8"),
     "sheet_cell": _small(

@@ -57,6 +57,9 @@ GALLERY = {
         "trapped_resin": ("Trapped resin", "print/marked.png"),
     },
     "Simulate": {
+        "bracket": ("A bracket under its load", "tested.png"),
+        "loaded_stem": ("An implant stem under its load", "stem.png"),
+        "loaded_insole": ("A heel pad under its load", "pad.png"),
         "modulus": ("The modulus in all directions", "stiffness/young.png"),
         "stiffness_over_porosity": ("Stiffness over porosity", "young.png"),
         "flow": ("Flow through the pores", "flow.png"),
