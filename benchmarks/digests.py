@@ -253,7 +253,8 @@ EXAMPLES: Mapping[str, Small] = {
     "loaded_stem": _small(
         "cell=10 mm",
         """optimize.density.updates=3; optimize.density.trials=1; optimize.density.law_resolution=16;
-        tile.scattered.resolution=16; tile.scattered.rounds=0; tested.resolution=8; slice.field.layer=0.5 mm; slice.field.pixel=0.4 mm;
+        tile.scattered.resolution=16; tile.scattered.rounds=0; tested.resolution=8;
+        slice.field.layer=0.5 mm; slice.field.pixel=0.4 mm;
         tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
     ),
     "modulus": _small("", "tune.porosity.resolution=24; homogenize.voxel.resolution=16"),

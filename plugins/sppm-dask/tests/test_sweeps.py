@@ -121,7 +121,7 @@ def two_workers():
     """A cluster of two workers, as the executor starts them."""
     with (
         dask.config.set(LOCAL),
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=100) as cluster,
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=100) as cluster,
     ):
         yield cluster
 

@@ -92,9 +92,16 @@ class PartResult(Report, Viewable):
         size = float(np.linalg.norm(np.ptp(self.points, axis=0)))
         return max(1.0, float(f"{SHOWN * size / max(self.deflection, 1e-300):.1g}"))
 
+    def shown(self, number: int) -> F32:
+        """The surface of a case as it is drawn: displacements magnified, the few beyond `deflection` cut there."""
+        moved = self.moved[number]
+        size = np.linalg.norm(moved, axis=1, keepdims=True)
+        held = np.minimum(1, self.deflection / np.maximum(size, np.float32(1e-30)))
+        return np.asarray(self.points + np.float32(self.magnification) * held * moved, np.float32)
+
     def live_view(self) -> Surface:
         """The deformed surface in its first case."""
-        shown = self.points + self.magnification * self.moved[0]
+        shown = self.shown(0)
         title = f"{next(iter(self.cases))}, displacements {self.magnification:g} times"
         return Surface(shown, self.triangles, title, "mm")
 

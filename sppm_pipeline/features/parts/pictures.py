@@ -104,7 +104,7 @@ def deformed_picture(result: PartResult, case: int, size: tuple[int, int]) -> ND
     """The deformed part in colors of the stress."""
     top = float(np.percentile(result.stresses[case], 99)) if result.stresses.size else 0.0
     drawn = render_mesh(
-        (result.points + result.magnification * result.moved[case]).astype(np.float64), result.triangles,
+        result.shown(case).astype(np.float64), result.triangles,
         camera=CAMERA, size=size, face_colors=colors_of(result.stresses[case].astype(np.float64), 0.0, top),
         smooth=False,
     )  # fmt: skip
