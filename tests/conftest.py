@@ -303,11 +303,25 @@ def browser():
             pytest.fail("SPPM_REQUIRE_BROWSER=1, but there is no Chromium or no playwright")
         pytest.skip("no Chromium")
     with sync_playwright() as playwright:
-        made = playwright.chromium.launch(
-            executable_path=path, args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+        made = Restarted(
+            lambda: playwright.chromium.launch(
+                executable_path=path, args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+            )
         )
         yield made
         made.close()
+
+
+class Restarted:
+    """A browser that is started again for the next test, if it crashed."""
+
+    def __init__(self, launch):
+        self._launch, self._made = launch, launch()
+
+    def __getattr__(self, name):
+        if not self._made.is_connected():
+            self._made = self._launch()
+        return getattr(self._made, name)
 
 
 @pytest.fixture(scope="session")

@@ -22,6 +22,7 @@ from sppm_pipeline.engine.plan import installed
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.stage import FAMILIES
 
 ROOT = Path(__file__).resolve().parents[2]
 PLUGINS = sorted(path.parent for path in (ROOT / "plugins").glob("*/pyproject.toml"))
@@ -141,6 +142,8 @@ def test_python_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
             family.voxel(resolution=8)
         assert WITHOUT in str(caught.value)
     family_of.cache_clear()
+    for name in FAMILIES:  # the face keeps those that it has shown
+        vars(sppm).pop(name, None)
     with pytest.raises(AttributeError, match=r"it is sppm_crushing.CrushedBody, .*`pip install sppm-crushing`"):
         getattr(sppm.nouns, "CrushedBody")  # noqa: B009
 
