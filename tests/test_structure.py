@@ -157,7 +157,7 @@ def test_a_feature_imports_the_faces_alone():
 
 
 def test_kernels_that_may_contract_take_no_powers():
-    """Numba compiles a power once in a process, with the flags of whoever asks first: bytes would depend on that."""
+    """Numba compiles a power once in a process, with the flags of its first caller: bytes would depend on it."""
     found = [
         f"{path.name}:{node.lineno}"
         for path in python_files()

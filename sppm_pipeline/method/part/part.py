@@ -333,21 +333,19 @@ class Part(WrappedField):
 
     def _in_domain(self, grid: Grid) -> DomainSampler:
         """The sampler of the domain on a grid; the last one is kept, as slab after slab asks for the same grid."""
-        sampler = _SAMPLERS.get(self)
-        if sampler is None or sampler.of != grid:
-            world = self.in_mm(grid)
-            sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
-            # weak keys: a sampler is freed with its part
-            _SAMPLERS[self] = sampler
-        return sampler
+        return self._kept(_SAMPLERS, grid, self.skin_mm, self.skin_faces)
 
     def _near_faces(self, grid: Grid) -> DomainSampler:
         """The sampler whose skin is what is kept solid near faces."""
-        sampler = _NEAR_FACES.get(self)
+        return self._kept(_NEAR_FACES, grid, self.solid_mm, self.solid_faces)
+
+    def _kept(
+        self, samplers: WeakKeyDictionary[Part, DomainSampler], grid: Grid, thick: float, faces: I32 | None
+    ) -> DomainSampler:
+        """The last sampler if it is of this grid, else another; weak keys free it with its part."""
+        sampler = samplers.get(self)
         if sampler is None or sampler.of != grid:
-            world = self.in_mm(grid)
-            sampler = DomainSampler(self.domain, grid, world, self.solid_mm, self.method, self.solid_faces)
-            _NEAR_FACES[self] = sampler
+            sampler = samplers[self] = DomainSampler(self.domain, grid, self.in_mm(grid), thick, self.method, faces)
         return sampler
 
     def _plain(self) -> Part:

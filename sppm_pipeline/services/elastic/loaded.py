@@ -267,14 +267,14 @@ class HeldBody:
         if start is not None:  # measured against what there is without the guess
             np.copyto(u, start.reshape(-1), where=~fixed, casting="same_kind")
             first = left_over(u)
-        whole_energy = stored
+        floor = max(_FLOOR * stored, 1e-300)
         done, error, converged = 0, np.inf, whole == 0 or first <= residual * whole
         for _ in range(_RESTARTS):
             if converged or done >= iterations:
                 break
             stop = Stop(residual * whole / first, energy, iterations - done)
             step = np.empty_like(u) if u.any() else u  # large bodies have no room for another vector
-            found = solve(self.hierarchy, b, step, p, self._work, stop, stored, max(_FLOOR * whole_energy, 1e-300))
+            found = solve(self.hierarchy, b, step, p, self._work, stop, stored, floor)
             done += found.iterations
             if not found.definite:
                 if not self.hierarchy.twice:
@@ -287,7 +287,7 @@ class HeldBody:
                 continue
             if step is not u:
                 u += step
-            stored = found.energy if whole_energy else 0.0
+            stored = found.energy if stored else 0.0
             error, last, first = found.error, first, left_over(u)
             converged = first <= residual * whole or 0 < energy >= error
             if first > 0.5 * last:  # rounding

@@ -39,7 +39,7 @@ def inline_jit(function: F) -> F:
     """Compile `function` with reassociation and contraction allowed, for inner loops over contiguous rows.
 
     Only the flags that let LLVM vectorize are set: NaN and infinity keep their meaning. Squares are written as
-    products: Numba compiles a power once in a process, and whether it may be contracted depends on who asked first.
+    products: Numba compiles a power once in a process, and the first caller decides whether it may be contracted.
     """
     return cast(F, Kernel(function, {"reassoc", "contract", "arcp", "nsz"}))
 

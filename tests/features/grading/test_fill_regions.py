@@ -1,4 +1,4 @@
-"""``fill.regions``: each body has its own fill to the sample, and what lies around it goes over into the rest."""
+"""``fill.regions``: bodies hold their own fill exactly, and blend into the rest around them."""
 
 import numpy as np
 import pytest

@@ -65,7 +65,7 @@ class Draws:
     def coarse_ratio(self, porosity: float) -> float:
         """Ratio of solid to void on the coarse grid, within some percent, but quick: balls are a voxel too small."""
         if self.finer:
-            (solid,) = (_thickness(phases) for phases in _phases(self.coarse, porosity)[:1])
+            solid = _thickness(_phases(self.coarse, porosity)[0])
             return float(solid[solid > 0].mean(dtype=np.float64) + 1) / (throat(self.fine, porosity) / 2 + 1)
         solid, void = (_thickness(phases) for phases in _phases(self.coarse, porosity))
         return float((solid[solid > 0].mean(dtype=np.float64) + 1) / (void[void > 0].mean(dtype=np.float64) + 1))

@@ -42,7 +42,7 @@ TIP_ANGLE = 20.0
 """Degrees between triangles of one surface where it meets others at less than `SHARP_ANGLE`, such as a bore the cone at
 its mouth. Cylinders of 18 faces and more bend less."""
 
-MOST_BESIDE = 12
+MAX_NEIGHBORS = 12
 """Facets that bend away from one; a facet of a cylinder has two to four, the floor of a bore as many as that."""
 
 THIN, THIN_ROUNDS = 1e-5, 8
@@ -102,7 +102,7 @@ def mesh_features(vertices: F64, faces: I32) -> Features:
         pairs = np.unique(np.sort(np.stack([facet[mine[chosen]], facet[theirs[chosen]]], axis=1), axis=1), axis=0)
         beside = np.bincount(pairs.ravel(), minlength=len(areas))
         # a plane that runs out into a fillet is no part of it, nor is the floor of a bore with a round corner
-        plane = (beside[pairs] == 1) & (areas[pairs] > 2 * areas[pairs[:, ::-1]]) | (beside[pairs] > MOST_BESIDE)
+        plane = (beside[pairs] == 1) & (areas[pairs] > 2 * areas[pairs[:, ::-1]]) | (beside[pairs] > MAX_NEIGHBORS)
         concave = np.zeros(len(areas), np.bool_)
         concave[pairs[~plane.any(1)]] = True
         joined = whole & concave[facet[mine]] & concave[facet[theirs]] & (angle <= largest)

@@ -73,7 +73,7 @@ def mirrored_stiffness(
     moduli = Moduli.of(lam, mu).each(lambda values: np.asarray(values / scale, dtype))
     volume = float(np.prod(np.array(shape) * edges[::-1]))
     matrix, solved, body = np.zeros((6, 6)), list[Solved](), None
-    tension: list[tuple[NDArray[Any], NDArray[Any]]] = []
+    tension: list[NDArray[Any]] = []
     for case in range(6):
         fixed, affine = faces_of(case, shape, edges, dtype)
         nothing = np.zeros_like(affine)
@@ -93,12 +93,12 @@ def mirrored_stiffness(
         u, forces = found.displacement, body.forces(found.displacement)
         solved.append(found.solved)
         # mutual energies, whose error is of second order in that of the displacements
-        pairs = [*tension, (u, forces)] if case < 3 else [(u, forces)]
-        for number, (other, _) in enumerate(pairs, case - len(pairs) + 1):
+        others = [*tension, u] if case < 3 else [u]
+        for number, other in enumerate(others, case - len(others) + 1):
             value = float(np.einsum("i,i", other.ravel(), forces.ravel(), dtype=np.float64)) / volume
             matrix[number, case] = matrix[case, number] = value
         if case < 3:
-            tension.append((u, forces))
+            tension.append(u)
     void = np.diag(matrix) < NO_LOAD_PATH * mean
     matrix[void] = 0
     matrix[:, void] = 0
