@@ -153,7 +153,11 @@ def test_a_design_beside_another(page):
 def test_a_file_that_is_no_mesh_is_refused_and_the_part_stays(page, tmp_path):
     (tmp_path / "song.mp3").write_bytes(b"no mesh")
     page.set_input_files("#mesh", tmp_path / "song.mp3")
-    until(page, "document.getElementById('status').textContent.includes('is no mesh')", "no message")
+    until(page, "document.getElementById('refused').textContent.includes('is no mesh')", "no message")
+    drawn = page.evaluate("document.getElementById('status').dataset.drawn")
+    drag(page, "[data-role='design.sizes.strut'] [type=range]", ["ArrowRight"])
+    until(page, f"document.getElementById('status').dataset.drawn !== '{drawn}'", "nothing is drawn after it")
+    assert page.is_visible("#refused")
     assert page.inner_text("h1") == "bracket_infill"
 
 

@@ -153,21 +153,27 @@ function look() {
 byId("keep").addEventListener("click", () => { if (live) keepA(); });
 byId("to-a").addEventListener("click", () => { restore(JSON.parse(numbersOfA)); remember(); });
 
-// Meshes are dropped or chosen; what they are made to, and for which printer, begins them anew.
+// Meshes are dropped or chosen; what they are made to, and for which printer, begins them anew. Why one was refused stays
+// to be read until the next, whatever the part that is still shown is doing meanwhile.
 async function open(search, body) {
+  const refused = byId("refused"), before = byId("status").textContent;
+  refused.hidden = true;
   said("reading…", true);
+  let words;
   try {
     const answer = await fetch(`open?${search}`, { method: "POST", body });
     if (answer.ok) return location.reload();
     const text = await answer.text();
-    let words = text;
+    words = text;
     try {
       words = JSON.parse(text).errors.map((one) => one.message + (one.hint ? ` (${one.hint})` : "")).join("; ");
     } catch (error) { /* a plain text */ }
-    said(words);
   } catch (error) {
-    said(`not read: ${error.message}`);
+    words = `not read: ${error.message}`;
   }
+  refused.textContent = words;
+  refused.hidden = false;
+  if (byId("status").textContent === "reading…") said(before);
 }
 
 const dropped = (file) => file && open(new URLSearchParams({ name: file.name }), file);
