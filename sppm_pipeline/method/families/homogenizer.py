@@ -69,13 +69,6 @@ class VoxelCell(NamedTuple):
         # float32 sums of millions of voxels would lose digits
         return 1 - float(self.fraction.mean(dtype=np.float64))
 
-    def first_eighth(self) -> VoxelCell:
-        """The half of each axis at its low side: the cell itself, if this is one with its mirror images."""
-        nx, ny, nz = (n // 2 for n in self.shape)
-        phase = None if self.phase is None else self.phase[:nx, :ny, :nz]
-        fraction = None if self.fraction is None else self.fraction[:nx, :ny, :nz]
-        return VoxelCell(phase, fraction, self.edges)
-
     def occupied(self) -> U8:
         """1 where there is any solid."""
         # both have one byte: a view saves a copy
@@ -195,6 +188,16 @@ class Homogenizer(Stage):
 
     advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
 
+    @property
+    def mirrored(self) -> bool:
+        """Whether mirror images lie beyond the sides, and the cell alone is solved."""
+        return False
+
+    @property
+    def wraps(self) -> tuple[bool, bool, bool]:
+        """Whether opposite sides of what is solved are neighbors, along x, y, z."""
+        return (not self.mirrored,) * 3
+
     @abstractmethod
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Memory of the solver in single precision, with as many load cases at a time as there are threads."""
@@ -227,14 +230,14 @@ class Homogenizer(Stage):
         """
         bytes_per_voxel = self.bytes_of_a_voxel(context.threads)
         if isinstance(source, Voxels):
-            if not all(source.periodic):
+            if not (self.mirrored or all(source.periodic)):
                 raise DesignError(
                     f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
                     hint="read a periodic cell with `periodic: true`, and homogenize a scan with `sides: mirror`",
                 )
             self._check_memory(context, source.shape, bytes_per_voxel)
             return source.shape, source.spacing
-        if not source.periodic:
+        if not (self.mirrored or source.periodic):
             raise DesignError(
                 "homogenization needs a periodic cell; this field ends at the border of its cells or part",
                 hint="take the cell itself (`from: tune.porosity`, say), a tiling with `tile.periodic`, or, of a scan, "
@@ -248,7 +251,7 @@ class Homogenizer(Stage):
 
     def check_image(self, context: Context, source: ScalarField | Voxels, *, void: bool = False) -> None:
         """Warn if an image is no periodic cell, or if voxels do not resolve what carries: its solid, or its void."""
-        for doubt in source.doubts(void=void) if isinstance(source, Voxels) else ():
+        for doubt in source.doubts(void=void, repeats=not self.mirrored) if isinstance(source, Voxels) else ():
             context.warn(doubt)
 
     def cell_of(self, context: Context, source: ScalarField | Voxels) -> VoxelCell:
@@ -312,24 +315,28 @@ class SidedHomogenizer(Homogenizer):
 
     sides: str = option(
         "periodic", help="what lies beyond the sides; periodic: the cell repeats; mirror: its mirror images, as if "
-        "what does not repeat, such as a scan, were loaded between smooth plates; eight times the voxels, but for "
-        "stiffness",
-        choices=("periodic", "mirror"),
+        "what does not repeat, such as a scan, were loaded between smooth plates; mixed: the same by the name that "
+        "uniform displacements or gradients along the normal and none across have",
+        choices=("periodic", "mirror", "mixed"),
     )  # fmt: skip
 
+    @property
+    def mirrored(self) -> bool:
+        return self.sides != "periodic"
+
     def sided(self, context: Context, source: ScalarField | Voxels) -> ScalarField | Voxels:
-        """The cell that repeats: `source` itself, or with its mirror images; reports which."""
+        """The cell that is solved: `source`, a field with its mirror images beyond the sides; reports which."""
         context.report(sides=self.sides)
         if self.sides == "periodic":
             return source
         if isinstance(source, Voxels):
-            return source.mirrored()
+            return source if self.mirrored else source.mirrored()
         from sppm_pipeline.method.fields.mirrored import MirroredField
 
-        return MirroredField(source)
+        return MirroredField(source, not self.mirrored)
 
     def solving(self, source: Size, repeats: float = 1.0) -> Size:
-        if self.sides == "periodic":
+        if self.sides == "periodic" or self.mirrored:
             return super().solving(source, repeats)
         body = source.geometry
         if body is not None:

@@ -14,16 +14,25 @@ from sppm_pipeline.services.grid import Grid
 
 @dataclass(frozen=True, eq=False)
 class MirroredField(WrappedField):
-    """A field of a box and its seven mirror images at the high sides, which repeat: twice as many cells each way."""
+    """A field of a box and its seven mirror images at the high sides, which repeat: twice as many cells each way.
+
+    Attributes
+    ----------
+    base : ScalarField
+    whole : bool
+        Whether the images belong to the region, which then repeats, or lie beyond it.
+    """
+
+    whole: bool = True
 
     @property
     def cells(self) -> tuple[int, int, int]:
         x, y, z = self.base.cells
-        return 2 * x, 2 * y, 2 * z
+        return (2 * x, 2 * y, 2 * z) if self.whole else (x, y, z)
 
     @property
     def periodic(self) -> bool:
-        return True
+        return self.whole
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         part = grid.layers(start, stop)

@@ -213,11 +213,11 @@ class Voxels(Artifact):
             opened |= shifted(core, step)
         return 1 - float(np.count_nonzero(opened)) / np.count_nonzero(solid)
 
-    def doubts(self, *, void: bool = False) -> list[str]:
+    def doubts(self, *, void: bool = False, repeats: bool = True) -> list[str]:
         """Warnings for homogenizing the solid, or the void, as a cell: faces that do not fit, too few voxels across."""
         warnings = []
-        if bad := [f"{axis} ({ratio:.2g})" for axis, ratio in zip("xyz", self.face_mismatch(), strict=True)
-                   if ratio > MAX_FACE_MISMATCH]:  # fmt: skip
+        if repeats and (bad := [f"{axis} ({ratio:.2g})" for axis, ratio in zip("xyz", self.face_mismatch(), strict=True)
+                   if ratio > MAX_FACE_MISMATCH]):  # fmt: skip
             warnings.append(
                 f"opposite faces of the image do not fit along {', '.join(bad)} times the mismatch of neighboring "
                 "layers: it is not a periodic cell, and the result is wrong near its faces; take `sides: mirror`"

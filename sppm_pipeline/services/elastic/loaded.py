@@ -6,6 +6,7 @@ node of a coarse grid is held if any node that it is interpolated to is. Bricks 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from itertools import pairwise, product
@@ -185,12 +186,24 @@ class HeldBody:
             solid = np.flatnonzero(flat[0])
             samples = flat[:, solid[:: max(1, len(solid) // _SAMPLED)]].astype(np.float64)
         make: Any = GeneralLevel if general else ElasticLevel
+        self._build(
+            given, edges, lambda values, h: make(values, h, dtype),
+            lambda values, h: _MARGIN * largest_of(samples, h) if general else largest_eigenvalue(values, h),
+            lambda values, mean: np.stack([mean(one) for one in values]) if general else values.each(mean),
+            SCRATCH_ROWS, planar=True, stretch=STRETCH,
+        )  # fmt: skip
+
+    def _build(
+        self, given: Any, edges: tuple[float, float, float], make: Callable[..., Any], largest: Callable[..., float],
+        each: Callable[..., Any], scratch_rows: int, **options: Any,
+    ) -> None:  # fmt: skip
+        """All grids of voxels with a margin of void: what makes a level, bounds its eigenvalues, and takes means."""
         levels: list[Any] = []
-        held, bound = fixed, 0.0
+        held, bound = self.fixed, 0.0
         while True:
-            levels.append(make(given, edges, dtype))
+            levels.append(make(given, edges))
             levels[-1].hold(held)
-            bound = max(bound, _MARGIN * largest_of(samples, edges) if general else largest_eigenvalue(given, edges))
+            bound = max(bound, largest(given, edges))
             fine = levels[-1].shape
             if (shape := coarser(fine, edges, open_ends=True)) is None:
                 break
@@ -200,15 +213,13 @@ class HeldBody:
             def mean(values: NDArray[Any], shape: tuple[int, int, int] = shape) -> NDArray[Any]:
                 return coarsened(values, shape, open_ends=True)
 
-            given = np.stack([mean(one) for one in given]) if general else given.each(mean)
+            given = each(given, mean)
             held = _held_below(held, shape)
         transfers = [NodalTransfer.between(a.shape, b.shape, open_ends=True) for a, b in pairwise(levels)]
-        self.hierarchy = Hierarchy.of(
-            levels, SCRATCH_ROWS, bound, transfers=transfers, twice=True, planar=True, stretch=STRETCH
-        )
+        self.hierarchy = Hierarchy.of(levels, scratch_rows, bound, transfers=transfers, twice=True, **options)
         self._work = self.hierarchy.workspace()
         self._free = copy(levels[0])
-        self._free.hold(np.zeros_like(fixed))
+        self._free.hold(np.zeros_like(self.fixed))
 
     def forces(self, u: NDArray[Any]) -> NDArray[Any]:
         """Nodal forces of displacements, those held included: less the loads they are the reactions."""

@@ -41,7 +41,7 @@ _LAYERS = 8
 _FLOOR = 1e-6
 """Conductivity over the mean of the voxels' below which no accuracy is requested ..."""
 
-_NO_FLUX = 1e-9
+NO_FLUX = 1e-9
 """... and below which a direction has no path of conduction."""
 
 #: Rows of scratch: sum and difference along z, 4 modes of the line before, 4 flows carried to the next line, 4 flows
@@ -93,7 +93,7 @@ def conductivity(
         hierarchy, _Potentials, mean, Stop(residual, tolerance, iterations), _FLOOR, dtype, threads
     )
     # an axis without a path leaves rounding only, which would make a tortuosity of it
-    nothing = np.diag(matrix) < _NO_FLUX * mean
+    nothing = np.diag(matrix) < NO_FLUX * mean
     matrix[nothing] = 0
     matrix[:, nothing] = 0
     return Conducted(matrix * scale, solved, reached)
@@ -165,10 +165,19 @@ class ConductionLevel:
         # the diagonal of a brick: 16/9 for the weights 1, 1/3, 1/3, 1/9 of its modes
         self.diagonal = node_sums(16 / 9 * float(self.c[:3] @ self.c[:3]) * k).reshape(-1)
         self.weight = np.zeros(nx * ny * nz, dtype)
+        self.held = np.zeros(0, np.int64)
+
+    def hold(self, fixed: NDArray[np.bool_]) -> None:
+        """Hold potentials (1, nz, ny, nx) at zero: without a weight, steps leave them there."""
+        self.held = np.flatnonzero(fixed)
+        self.diagonal[self.held] = 0
 
     def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
-        """See `apply_conductivity`."""
-        return apply_conductivity(mode, v, r, self.weight, self.k, self.c, self.size, out, work.plane, work.rows)
+        """See `apply_conductivity`; what flows out of held nodes counts as nothing."""
+        total = apply_conductivity(mode, v, r, self.weight, self.k, self.c, self.size, out, work.plane, work.rows)
+        if mode == APPLY:
+            out[self.held] = 0
+        return total
 
     def forces(self, gradient: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
         """Flows out of the nodes for a constant gradient (3,), written to `out`."""
@@ -184,18 +193,18 @@ class ConductionLevel:
 
 def conduction_hierarchy(k: NDArray[Any], edges: tuple[float, float, float], dtype: Any, *, safe: bool) -> Hierarchy:
     """All grids of a periodic conductor, coarse ones with the mean conductivity of eight voxels."""
-    levels, bound = [ConductionLevel(k, edges, dtype)], _largest(edges)
+    levels, bound = [ConductionLevel(k, edges, dtype)], largest_eigenvalue(edges)
     widths = [np.ones(n) for n in k.shape]
     while coarser(levels[-1].shape) is not None:
         doubled = [h * (2 if n > 1 else 1) for h, n in zip(edges, k.shape[::-1], strict=True)]
         edges = (doubled[0], doubled[1], doubled[2])
         k, widths = coarsened(k), coarser_widths(widths)
         levels.append(ConductionLevel(k * shortness(widths).astype(k.dtype), edges, dtype))
-        bound = max(bound, _largest(edges))
+        bound = max(bound, largest_eigenvalue(edges))
     return Hierarchy.of(list(levels), SCRATCH_ROWS, bound if safe else 0.0)
 
 
-def _largest(edges: tuple[float, float, float]) -> float:
+def largest_eigenvalue(edges: tuple[float, float, float]) -> float:
     """A bound of the eigenvalues over the diagonal: that of the stiffest mode of a brick."""
     q = 1 / np.array(edges) ** 2
     return float(8 * max(q.max(), np.sort(q)[1:].sum() / 3, q.sum() / 9) / (16 / 9 * q.sum()))

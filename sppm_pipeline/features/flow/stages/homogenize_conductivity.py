@@ -125,14 +125,16 @@ class HomogenizeConductivity(SidedHomogenizer):
     def conductivity_of(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """The conductivity on one grid."""
         from sppm_pipeline.features.flow.numerics.conduction import conductivity, tortuosity
+        from sppm_pipeline.features.flow.numerics.mirrored import mirrored_conductivity
         from sppm_pipeline.numerics import phase_report
 
         cell = self.cell_of(context, source)
         if self.of != "void":
             cell.check_materials(context, len(self._bulk()), "`bulk`")
         k = self._conductivities(cell)
-        found = conductivity(k, cell.edges, **self.solver_options(context.threads))
-        connected = phase_report((k > 0).view(np.uint8))
+        solve = mirrored_conductivity if self.mirrored else conductivity
+        found = solve(k, cell.edges, **self.solver_options(context.threads))
+        connected = phase_report((k > 0).view(np.uint8), self.wraps)
         warnings = self.solver_warnings(found.solved, found.precision)
         without = [axis for axis, value in zip("xyz", np.diag(found.conductivity), strict=True) if value == 0]
         if without:
@@ -161,7 +163,7 @@ class HomogenizeConductivity(SidedHomogenizer):
                 f"`resolution: {math.ceil(MIN_WALL / wall)}` or more ({MIN_WALL} voxels) closes them"
             ]
         # a way through voxels that are more than half open is no leak
-        closed = ~np.array(phase_report((cell.fraction.T < 0.5).view(np.uint8)).wraps)
+        closed = ~np.array(phase_report((cell.fraction.T < 0.5).view(np.uint8), self.wraps).wraps)
         leaking = [axis for axis, leak in zip("xyz", closed & flows, strict=True) if leak]
         if not leaking:
             return []

@@ -212,7 +212,7 @@ class ElasticHomogenizer(ElasticCell):
         from sppm_pipeline.method.connectivity.components import phase_report
 
         # of what carries load: voxels that are hardly solid join nothing
-        connected = phase_report(_loaded(cell).occupied().T)
+        connected = phase_report(_loaded(cell).occupied().T, self.wraps)
         found = self._found(context, cell, expansion)
         warnings = self.solver_warnings(found.solved, found.precision)
         # of what is there: materials of phases that the image lacks do no harm
@@ -346,22 +346,25 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
         )
         return VoxelCell(None, fraction.T, (ex, ey, ez))
 
+    @property
+    def mirrored(self) -> bool:
+        return super().mirrored and self.expansion is None
+
     def _found(self, context: Context, cell: VoxelCell, expansion: tuple[float, ...]) -> Homogenized:
-        """The stiffness of a cell on its grid, of one with mirror images from an eighth of it."""
-        if self.sides == "periodic" or expansion:
+        """The stiffness of a cell on its grid."""
+        if not self.mirrored:
             return super()._found(context, cell, expansion)
         from sppm_pipeline.features.stiffness.numerics.mirrored import mirrored_stiffness
 
-        cell = _loaded(cell.first_eighth())
+        cell = _loaded(cell)
         options = self.solver_options(context.threads)
         del options["threads"]
         lam, mu = (cell.of_voxels(values, options["precision"]) for values in zip(*self._constants(), strict=True))
         return mirrored_stiffness(lam, mu, cell.edges, **options)
 
     def bytes_of_a_voxel(self, threads: int) -> int:
-        """With mirror images one case of an eighth of the voxels is solved at a time, beside the image."""
-        whole = super().bytes_of_a_voxel(threads)
-        return whole if self.sides == "periodic" or self.expansion is not None else 6 + super().bytes_of_a_voxel(1) // 8
+        """Between mirrors one case is solved at a time."""
+        return super().bytes_of_a_voxel(1 if self.mirrored else threads)
 
     def _expansions(self) -> tuple[float, ...]:
         """Of the void and of each phase; the void, if it has a stiffness of its own accord, expands as phase 1 does."""
