@@ -275,7 +275,8 @@ class HeldBody:
             return float(np.sqrt(dot(b, b)))
 
         whole = first = left_over(u)
-        if start is not None:  # measured against what there is without the guess
+        # measured against what there is without the guess; where nothing pulls, nothing moves
+        if start is not None and whole:
             np.copyto(u, start.reshape(-1), where=~fixed, casting="same_kind")
             first = left_over(u)
         floor = max(_FLOOR * stored, 1e-300)

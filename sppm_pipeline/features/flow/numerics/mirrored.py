@@ -19,13 +19,18 @@ from sppm_pipeline.numerics import Solved
 from sppm_pipeline.services.elastic.loaded import HeldBody
 
 
-class _HeldConductor(HeldBody):
-    """Voxels of conductivities `k` (nz, ny, nx) between two sides, normal to `axis`, whose potentials are given."""
+class HeldConductor(HeldBody):
+    """Voxels of conductivities `k` (nz, ny, nx) between two sides, normal to `axis`, whose potentials are given, or
+    between six such sides.
+    """
 
-    def __init__(self, k: NDArray[Any], edges: tuple[float, float, float], axis: int, dtype: np.dtype[Any]) -> None:
+    def __init__(
+        self, k: NDArray[Any], edges: tuple[float, float, float], axis: int, dtype: np.dtype[Any],
+        everywhere: bool = False,
+    ) -> None:  # fmt: skip
         self.fixed = np.zeros((1, *(n + 1 for n in k.shape)), bool)
-        for side in (0, -1):
-            np.moveaxis(self.fixed, 3 - axis, 0)[side] = True
+        for place in range(1, 4) if everywhere else (3 - axis,):
+            np.moveaxis(self.fixed, place, 0)[[0, -1]] = True
         self._build(
             np.pad(k, (0, 1)), edges, lambda values, h: ConductionLevel(values, h, dtype),
             lambda _, h: largest_eigenvalue(h), lambda values, mean: mean(values), SCRATCH_ROWS,
@@ -54,7 +59,7 @@ def mirrored_conductivity(
     mean, volume = float(k.mean(dtype=np.float64)), float(np.prod(k.shape) * np.prod(h))
 
     def case(axis: int) -> tuple[float, Solved]:
-        body = _HeldConductor(k, h, axis, dtype)
+        body = HeldConductor(k, h, axis, dtype)
         line = np.arange(k.shape[2 - axis] + 1, dtype=dtype) * dtype.type(h[axis])
         linear = np.broadcast_to(np.expand_dims(line, [d for d in range(3) if d != 2 - axis]), body.fixed.shape)
         found = body.solve(

@@ -80,19 +80,67 @@ def stokes_flow(
     as for `elasticity.stiffness`, but cycles of the preconditioner are always in single precision. `ArithmeticError`
     if the iteration fails in double precision, too.
     """
-    longest = max(faces.edges)
-    edges = tuple(h / longest for h in faces.edges)
-    velocity = [_velocity_hierarchy(faces, edges, d, longest) for d in range(3)]
-    weights = np.concatenate([weight.reshape(-1) for weight in faces.weights])
-    torsion = _torsion_fields(velocity, weights, threads)
-    weighted = [w * psi for w, psi in zip(np.split(weights, 3), torsion, strict=True)]
-    thermal = float(np.mean([psi.mean(dtype=np.float64) for psi in weighted]))
-    squares = float(np.mean([dot(v, psi) / psi.size for v, psi in zip(weighted, torsion, strict=True)]))
-    wanted = [d for d in range(3) if axes[d] and thermal > 0]
     stop, dtype = Stop(residual, tolerance, iterations), np.dtype(precision)
     if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
         # in single precision, rounding stops the iteration before
         dtype = np.dtype(np.float64)
+    # all of a periodic cell at once; between mirrors a flow along each axis has a cell of its own
+    cells = [faces.driven(d) for d in range(3)] if faces.mirrored else [faces]
+    longest = max(faces.edges)
+    edges = tuple(h / longest for h in faces.edges)
+    velocity = [_velocity_hierarchy(cells[d % len(cells)], edges, d, longest) for d in range(3)]
+    weights = [cells[d % len(cells)].weights[d].reshape(-1) for d in range(3)]
+    torsion = _torsion_fields(velocity, weights, threads)
+    weighted = [w * psi for w, psi in zip(weights, torsion, strict=True)]
+    thermal = float(np.mean([psi.mean(dtype=np.float64) for psi in weighted]))
+    squares = float(np.mean([dot(v, psi) / psi.size for v, psi in zip(weighted, torsion, strict=True)]))
+    wanted = [d for d in range(3) if axes[d] and thermal > 0]
+    flows = []
+    for d, cell in enumerate(cells):
+        own, conducting, operators = wanted, torsion, velocity
+        if faces.mirrored:
+            own = [d] if d in wanted else []
+            shapes = [cells[e].active[e].shape for e in range(3)]
+            conducting = [psi if e == d else _turned(psi, shapes[e], e, d) for e, psi in enumerate(torsion)]
+            operators = [
+                of if e == d or not own else _velocity_hierarchy(cell, edges, e, longest)
+                for e, of in enumerate(velocity)
+            ]
+        flows.append(
+            _driven(cell, edges, operators, conducting, own, stop, dtype, porosity, thermal, squares, longest, threads)
+        )
+    if not faces.mirrored:
+        return flows[0]
+    firsts = [flow.slices[d][:, : flow.slices[d].shape[1] // 2] for d, flow in enumerate(flows)]
+    return Flow(
+        np.diag([flow.permeability[d, d] for d, flow in enumerate(flows)]), thermal * longest**2,
+        tuple(flow.viscous_tortuosity[d] for d, flow in enumerate(flows)), flows[0].thermal_tortuosity,
+        tuple(flow.hydraulic_tortuosity[d] for d, flow in enumerate(flows)), tuple(firsts),
+        tuple(flow.solved[d] for d, flow in enumerate(flows)), max((flow.precision for flow in flows), key=_digits),
+    )  # fmt: skip
+
+
+def _digits(precision: str) -> int:
+    return np.dtype(precision).itemsize
+
+
+def _turned(psi: NDArray[np.float32], shape: tuple[int, ...], e: int, d: int) -> NDArray[np.float32]:
+    """A torsion field of the cell of a flow along axis `e`, in that of a flow along `d`."""
+    values = np.moveaxis(psi.reshape(shape), (2 - e, 2 - d), (0, 1))
+    half = values[: len(values) // 2]
+    return np.moveaxis(np.concatenate((half, half[:, ::-1]), 1), (0, 1), (2 - e, 2 - d)).reshape(-1)
+
+
+def _driven(
+    faces: Faces, edges: tuple[float, ...], velocity: list[Hierarchy], torsion: list[NDArray[np.float32]],
+    wanted: list[int], stop: Stop, dtype: np.dtype[Any], porosity: float, thermal: float, squares: float,
+    longest: float, threads: int,
+) -> Flow:  # fmt: skip
+    """The flows along the axes `wanted`."""
+    weights = np.concatenate([weight.reshape(-1) for weight in faces.weights])
+    if not wanted:
+        return _flow(faces, weights, {}, porosity, thermal, squares, longest**2, dtype.name)
+    weighted = [w * psi for w, psi in zip(np.split(weights, 3), torsion, strict=True)]
     problem = _Problem(weights, edges, velocity, weighted, faces.active[0].shape)
     # MINRES needs a definite preconditioner, which rounding may spoil in single precision
     for attempt in (dtype, np.dtype(np.float64)):
@@ -165,11 +213,18 @@ def _velocity_hierarchy(faces: Faces, edges: tuple[float, ...], d: int, longest:
     """Grids of one component of the velocity."""
     active = faces.active[d]
     # the Laplacian joins active faces; a wall between two counts by its drag alone
-    weights = tuple((active & np.roll(active, 1, 2 - axis)) * np.float32(1 / edges[axis] ** 2) for axis in range(3))
-    return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights)
+    weights = []
+    for axis in range(3):
+        pairs = active & np.roll(active, 1, 2 - axis)
+        if faces.ends[axis]:
+            np.moveaxis(pairs, 2 - axis, 0)[0] = False
+        weights.append(pairs * np.float32(1 / edges[axis] ** 2))
+    return hierarchy_of(faces.walls[d] * np.float32(longest**2), (weights[0], weights[1], weights[2]))
 
 
-def _torsion_fields(velocity: list[Hierarchy], weights: NDArray[np.float32], threads: int) -> list[NDArray[np.float32]]:
+def _torsion_fields(
+    velocity: list[Hierarchy], weights: list[NDArray[np.float32]], threads: int
+) -> list[NDArray[np.float32]]:
     """``-lap psi = 1`` on the faces of each family."""
 
     def field(hierarchy: Hierarchy, weight: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -179,7 +234,7 @@ def _torsion_fields(velocity: list[Hierarchy], weights: NDArray[np.float32], thr
         return np.maximum(psi, 0, out=psi)
 
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(field, velocity, np.split(weights, 3)))
+        return list(pool.map(field, velocity, weights))
 
 
 class _Problem:

@@ -58,15 +58,16 @@ class FlowHomogenizer(Homogenizer):
         shape, edges = self.grid_of(context, source)
         if isinstance(source, Voxels):
             if source.fractions and self.fractions == "auto":
-                return faces_of_fractions(source.values.T, edges), self._longest(source)
+                return faces_of_fractions(source.values.T, edges, self.mirrored), self._longest(source)
             solid = source.values >= 0.5 if source.fractions else source.values > 0
-            return faces_of_voxels(~solid.T, edges), self._longest(source)
+            return faces_of_voxels(~solid.T, edges, self.mirrored), self._longest(source)
         if self.fractions == "binary":
             inside = source.solid(cell_centers(self.resolution, source.cells), context.threads)
-            return faces_of_voxels(inside.T == 0, edges), float(self.resolution)
+            return faces_of_voxels(inside.T == 0, edges, self.mirrored), float(self.resolution)
         faces = faces_of_field(
-            lambda grid: source.sample_zyx(grid, 0, grid.shape[2], context.threads), shape, 1 / self.resolution
-        )
+            lambda grid: source.sample_zyx(grid, 0, grid.shape[2], context.threads), shape, 1 / self.resolution,
+            self.mirrored,
+        )  # fmt: skip
         return faces, float(self.resolution)
 
     def flow_of(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
@@ -109,7 +110,7 @@ class FlowHomogenizer(Homogenizer):
             thermal_tortuosity=_finite((found.thermal_tortuosity,))[0],
             hydraulic_tortuosity=_finite(found.hydraulic_tortuosity),
             surface=None if faces.surface is None else faces.surface * edge, slices=found.slices,
-            grid=faces.active[0].shape[::-1], wraps=open_void.wraps, warnings=tuple(warnings),
+            grid=faces.voxels().shape[::-1], wraps=open_void.wraps, warnings=tuple(warnings),
             **PermeabilityReport.solver(found.solved, found.precision),
         )  # fmt: skip
 
@@ -118,15 +119,16 @@ def _narrow(void: Percolation) -> list[str]:
     """Axes along which no ball of `MIN_THROAT` voxels gets through the void."""
     from sppm_pipeline.numerics import phase_report
 
-    voxels = void.faces.voxels()
-    reach = MIN_THROAT // 2
+    mirrored, reach = void.faces.mirrored, MIN_THROAT // 2
+    voxels = np.pad(void.faces.voxels(), reach, mode="symmetric" if mirrored else "wrap")
     # erosion by a ball: what is left is where its center may lie
     centers = voxels.copy()
     for x, y, z in np.ndindex((MIN_THROAT,) * 3):
         step = (x - reach, y - reach, z - reach)
         if 0 < np.dot(step, step) <= reach * reach:
             centers &= np.roll(voxels, step, (0, 1, 2))
-    passed = phase_report(centers.view(np.uint8)).wraps
+    centers = centers[(slice(reach, -reach),) * 3]
+    passed = phase_report(np.ascontiguousarray(centers).view(np.uint8), (not mirrored,) * 3).wraps
     return [axis for axis, way, wide in zip("xyz", void.wraps, passed, strict=True) if way and not wide]
 
 
@@ -144,15 +146,15 @@ class HomogenizePermeability(FlowHomogenizer, SidedHomogenizer):
     left out with a warning. The report holds as well the thermal permeability, tortuosities, and the constant of
     Kozeny and Carman; `write.flow` draws the flow.
 
-    With `sides: mirror` the flow of a scan passes no mirror, as between smooth plates; the edge of an image is then
-    that of the scan with its mirror images, twice as long.
+    With `sides: mirror` the flow of a scan passes no mirror beside it, as between smooth plates; flows along each axis
+    are solved by themselves, on the scan and one mirror image, and the tensor is diagonal.
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated, and the
     difference becomes the error bar of the result, which stays that of the finest grid.
     """
 
     name: ClassVar[str] = "homogenize.permeability"
-    version: ClassVar[int] = 5
+    version: ClassVar[int] = 6
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
 
     grids: int = option(
