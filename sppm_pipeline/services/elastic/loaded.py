@@ -186,18 +186,34 @@ class HeldBody:
             solid = np.flatnonzero(flat[0])
             samples = flat[:, solid[:: max(1, len(solid) // _SAMPLED)]].astype(np.float64)
         make: Any = GeneralLevel if general else ElasticLevel
-        self._build(
+        self.build(
             given, edges, lambda values, h: make(values, h, dtype),
             lambda values, h: _MARGIN * largest_of(samples, h) if general else largest_eigenvalue(values, h),
             lambda values, mean: np.stack([mean(one) for one in values]) if general else values.each(mean),
             SCRATCH_ROWS, planar=True, stretch=STRETCH,
         )  # fmt: skip
 
-    def _build(
+    def build(
         self, given: Any, edges: tuple[float, float, float], make: Callable[..., Any], largest: Callable[..., float],
         each: Callable[..., Any], scratch_rows: int, **options: Any,
     ) -> None:  # fmt: skip
-        """All grids of voxels with a margin of void: what makes a level, bounds its eigenvalues, and takes means."""
+        """Make all grids of voxels with a margin of void, held where `fixed` says: for other equations than elasticity.
+
+        Parameters
+        ----------
+        given : any
+            What the finest grid is made of.
+        edges : (hx, hy, hz)
+        make : callable
+            From what is given, and edges, to a level that can `hold` its nodes.
+        largest : callable
+            From the same to a bound of the eigenvalues over the diagonal.
+        each : callable
+            From what is given, and a function that takes the mean of blocks of an array, to that of the next grid.
+        scratch_rows : int
+        **options
+            Of `Hierarchy.of`.
+        """
         levels: list[Any] = []
         held, bound = self.fixed, 0.0
         while True:

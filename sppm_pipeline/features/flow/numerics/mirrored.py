@@ -15,8 +15,7 @@ from sppm_pipeline.features.flow.numerics.conduction import (
     ConductionLevel,
     largest_eigenvalue,
 )
-from sppm_pipeline.numerics import Solved
-from sppm_pipeline.services.elastic.loaded import HeldBody
+from sppm_pipeline.numerics import HeldBody, Solved
 
 
 class HeldConductor(HeldBody):
@@ -31,7 +30,7 @@ class HeldConductor(HeldBody):
         self.fixed = np.zeros((1, *(n + 1 for n in k.shape)), bool)
         for place in range(1, 4) if everywhere else (3 - axis,):
             np.moveaxis(self.fixed, place, 0)[[0, -1]] = True
-        self._build(
+        self.build(
             np.pad(k, (0, 1)), edges, lambda values, h: ConductionLevel(values, h, dtype),
             lambda _, h: largest_eigenvalue(h), lambda values, mean: mean(values), SCRATCH_ROWS,
         )  # fmt: skip

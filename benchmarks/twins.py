@@ -1,0 +1,160 @@
+"""Twins of scans: what `tune.match` finds for each, number by number, as a CSV table.
+
+    python -m benchmarks.twins FILE.csv [--draws N] [--pictures FOLDER] [SCAN[@THRESHOLD] ...]
+
+SCAN is a gray image, .npy or .npz with one array (x, y, z); Otsu's threshold is taken if none is given. Two images are
+made here: a foam of overlapping balls and a cell of this program, both blurred and with noise. Each image is read at 40
+to 50 voxels along an edge. The recipe has pores of two sizes of kernels: their number, the radii of pores and tunnels
+and the degree of the graph are varied, DRAWS (2) structures for each. `wanted` is the goal of the row; stiffness and
+permeability are not matched, but for the porosity all other numbers are means of what the statistics say of the twin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from sppm_pipeline.features.scans.image_field import ImageField
+from sppm_pipeline.features.scans.stages.tune_match import TuneMatch
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.segmentation import otsu
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+OWN = {"sample.dart_throwing.total": 80.0, "field.gaussian.tunnel_radius": 0.03}
+"""Options of the own structure, which the twin should find again."""
+
+VARIED = {
+    "sample.dart_throwing.total": (20.0, 240.0),
+    "field.gaussian.tunnel_radius": (0.012, 0.06),
+    "field.gaussian.pore_radius": (0.012, 0.08),
+}
+WANTED = {"porosity": 0.001, "S2": 0.02, "chords": 0.05, "thickness": 0.05, "permeability": 0.15, "stiffness": 0.1}
+
+
+def recipe(total: int = 100, tunnel: float = 0.03, pore: float = 0.03) -> Any:
+    """Pores, tunnels and their field."""
+    return recipe_of(
+        DartThrowing(total=total),
+        BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
+        GaussianField(pore_radius=Length(pore), tunnel_radius=Length(tunnel)),
+    )
+
+
+def as_scanned(solid: NDArray[np.bool_], seed: int) -> NDArray[np.float32]:
+    """Gray values of 0 to 1: blurred by 0.8 voxels, with noise of a tenth, and smoothed as one would before reading."""
+    noise = np.random.default_rng(seed).normal(0, 0.1, solid.shape)
+    gray = gaussian_filter(solid.astype(np.float32), 0.8, mode="wrap") + noise.astype(np.float32)
+    return np.asarray(gaussian_filter(gray, 0.5, mode="wrap"), np.float32)
+
+
+def foam(n: int = 48, seed: int = 3) -> NDArray[np.float32]:
+    """Solid between 60 overlapping balls of a tenth of the edge and more, which repeat."""
+    rng = np.random.default_rng(seed)
+    centers, radii = rng.random((60, 3)), 0.12 * (1 + 0.25 * rng.random(60))
+    axis = (np.arange(n) + 0.5) / n
+    solid = np.ones((n, n, n), bool)
+    for center, radius in zip(centers, radii, strict=True):
+        away = [np.minimum(abs(axis - c), 1 - abs(axis - c)) ** 2 for c in center]
+        solid &= away[0][:, None, None] + away[1][:, None] + away[2] > radius**2
+    return as_scanned(solid, seed)
+
+
+def own(n: int = 48) -> NDArray[np.float32]:
+    """A cell of this program of another seed, 60 % void."""
+    total, tunnel = OWN.values()
+    values = recipe(int(total), tunnel).run(PlainContext(77)).sample(n)
+    return as_scanned(values < np.quantile(values, 0.4), 0)
+
+
+def read(path: str) -> tuple[NDArray[np.float32], float]:
+    """Gray values of a scan, in blocks until there are at most 50 along an edge, and their threshold."""
+    name, _, level = path.partition("@")
+    with open(name, "rb") as file:
+        given = np.load(file)
+        image = np.asarray(given if isinstance(given, np.ndarray) else given[given.files[0]], np.float32)
+    while max(image.shape) > 50:
+        nx, ny, nz = (n // 2 for n in image.shape)
+        image = image[: 2 * nx, : 2 * ny, : 2 * nz].reshape(nx, 2, ny, 2, nz, 2).mean((1, 3, 5))
+    return image, float(level) if level else otsu(image)
+
+
+def scans(paths: list[str]) -> list[tuple[str, int, ScalarField]]:
+    """All scans as fields."""
+    found = [("own structure", own(), 0.5, True), ("foam of overlapping balls", foam(), 0.5, True)]
+    found += [(Path(path.partition("@")[0]).stem, *read(path), False) for path in paths]
+    return [
+        (name, min(gray.shape), ImageField.through(
+            np.asfortranarray(np.float32(level) - gray), (1 / min(gray.shape),) * 3, physical=False, periodic=repeats,
+        )) for name, gray, level, repeats in found
+    ]  # fmt: skip
+
+
+def rows(
+    name: str, scan: ScalarField, n: int, draws: int, evaluations: int
+) -> tuple[ScalarField, list[dict[str, Any]]]:
+    """The twin, and a row for each number."""
+    context = PlainContext(1)
+    twin = TuneMatch(
+        vary=tuple(VARIED), low=tuple(a for a, _ in VARIED.values()), high=tuple(b for _, b in VARIED.values()),
+        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n,
+    ).run(context, recipe(), scan)  # fmt: skip
+    found = context.reported
+    off = {
+        "porosity": found["porosity"],
+        "S2": found["S2"],
+        **{f"{kind}, {phase}": found[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")},
+        **{kind: found["held_out"][kind] for kind in ("permeability", "stiffness")},
+    }
+    bars = found.get("errors", {})
+    made = []
+    for quantity, value in off.items():
+        wanted = WANTED[quantity.split(",")[0]]
+        made.append({
+            "scan": name, "quantity": quantity, "difference": value, "error": bars.get(quantity, ""), "wanted": wanted,
+            "met": value is not None and abs(value) <= wanted,
+        })  # fmt: skip
+    for option, value in zip(VARIED, found["values"], strict=True):
+        truth = OWN.get(option) if name == "own structure" else None
+        made.append({
+            "scan": name, "quantity": option, "difference": value if truth is None else value / truth - 1,
+            "error": "", "wanted": "" if truth is None else 0.05,
+            "met": "" if truth is None else abs(value / truth - 1) <= 0.05,
+        })  # fmt: skip
+    return twin, made
+
+
+def main() -> None:
+    """Write the table, and print each row as it is found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("scans", nargs="*")
+    parser.add_argument("--draws", type=int, default=2)
+    parser.add_argument("--evaluations", type=int, default=60)
+    parser.add_argument("--only", help="part of the names of the scans that are taken")
+    args = parser.parse_args()
+    with args.file.open("w", newline="", encoding="utf-8") as file:
+        writer = None
+        for name, n, scan in scans(args.scans):
+            if args.only and args.only not in name:
+                continue
+            for row in rows(name, scan, n, args.draws, args.evaluations)[1]:
+                writer = writer or csv.DictWriter(file, list(row))
+                if file.tell() == 0:
+                    writer.writeheader()
+                writer.writerow(row)
+                file.flush()
+                print(*row.values(), sep=" | ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
