@@ -27,7 +27,7 @@ from sppm_pipeline.features.browser.live.page import (
     policy,
 )
 from sppm_pipeline.features.browser.live.serving import LocalHandler, LocalServer
-from sppm_pipeline.features.browser.studio.controls import places, with_values
+from sppm_pipeline.features.browser.studio.controls import Control, places, with_values
 from sppm_pipeline.features.browser.studio.design import START, Changed, Design, Superseded
 from sppm_pipeline.features.browser.studio.parts import KIND, MESHES, begun, scratch_of
 from sppm_pipeline.nouns import cards
@@ -45,6 +45,10 @@ def configure(parser: ArgumentParser) -> None:
         "--design", metavar="NAME", help=f"what a mesh is made to: {', '.join(DESIGNS)}; {KIND} if omitted"
     )
     parser.add_argument("--printer", metavar="NAME", help="printer of a part; PNG layers if omitted")
+    parser.add_argument(
+        "--static", metavar="PAGE", type=Path,
+        help="write a page that draws cells of one form without a server, as docs sites have it, and end",
+    )  # fmt: skip
     parser.add_argument("--no-open", action="store_true", help="only print the address, and open no browser")
     parser.add_argument("--port", type=int, default=0, metavar="N", help="port to serve at; any free one if omitted")
     add_plugins(parser)
@@ -57,6 +61,15 @@ def execute(args: Namespace) -> int:
     from sppm_pipeline.engine.plan.plugins import allowed_plugins
     from sppm_pipeline.engine.run.runner import available_threads
 
+    if args.static is not None:
+        from sppm_pipeline.engine.files import write_whole
+        from sppm_pipeline.features.browser.studio.alone import alone_page
+
+        if args.start is not None or args.design or args.printer:
+            raise ConfigError("--static writes a page for cells of one form", hint="sppm studio --static studio.html")
+        args.static.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(args.static, alone_page())
+        return 0
     named = Path(args.start) if args.start is not None else None
     mesh = named if named is not None and named.suffix.lower() in MESHES else None
     if mesh is None and (args.design or args.printer):
@@ -157,24 +170,32 @@ class Studio:
         self.begin(here, self.kind, self.printer or None)
 
 
-def studio_page(design: Design, studio: Studio | None = None) -> tuple[str, str]:
-    """The page, and the policy under which it may be shown: it fetches from its own server only."""
-    own = (HERE / "assets" / name for name in ("part.js", "studio.js"))
-    script = joined_script(ASSETS / "base.js", *(ASSETS / name for name in LIVE_SCRIPTS), *own)
-    rules = f"{policy(script)}; connect-src 'self'"
+def studio_page(
+    design: Design, studio: Studio | None = None, alone: tuple[list[Control], Mapping[str, Any]] | None = None
+) -> tuple[str, str]:
+    """The page, and the policy under which it may be shown: it fetches from its own server only.
+
+    A page that stands `alone` fetches nothing: it has these controls, and is told how they stand in its text.
+    """
+    names = ("part.js", "studio.js") if alone is None else ("part.js", "cell.js", "alone.js", "studio.js")
+    script = joined_script(
+        ASSETS / "base.js", *(ASSETS / name for name in LIVE_SCRIPTS), *(HERE / "assets" / name for name in names)
+    )
+    rules = policy(script) if alone else f"{policy(script)}; connect-src 'self'"
     style = "".join(file.read_text(encoding="utf-8") for file in (ASSETS / "live.css", HERE / "assets" / "studio.css"))
     groups = {
         name: {group: [c for c in controls if c.group == group] for group in dict.fromkeys(c.group for c in controls)}
-        for name, controls in design.controls.items()
+        for name, controls in (design.controls if alone is None else {design.targets[0].name: alone[0]}).items()
     }
     file = "" if design.file is None else str(design.file)
+    said = {"file": file, "name": design.name, "part": design.is_part}
     page = environment(HERE / "templates").get_template("studio.html").render(
-        name=design.name, groups=groups, targets=[target.name for target in design.targets], file=file,
+        name=design.name, groups=groups, targets=[*groups], file=file,
         yaml=design.text, script=script, style=style, policy=rules,
-        data=json_block({"file": file, "name": design.name, "part": design.is_part}), part=design.is_part,
+        data=json_block(said | ({"alone": alone[1]} if alone else {})), part=design.is_part,
         roles=ROLES, meshes=",".join(MESHES), designs=DESIGNS if studio is not None and studio.mesh is not None else (),
         kind="" if studio is None else studio.kind, printer="" if studio is None else studio.printer,
-        printers=sorted(cards().printers),
+        printers=sorted(cards().printers), alone=alone is not None,
     )  # fmt: skip
     return page, rules
 

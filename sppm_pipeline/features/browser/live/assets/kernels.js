@@ -16,17 +16,20 @@ function addKernels(sums, [nx, ny, nz], n, periodic, law, pores, tunnels, shift 
     return values;
   }
 
+  // the places along x, once for all rows of a kernel: remainders take longer than all else
+  const columns = ([first, last]) => Int32Array.from({ length: Math.max(0, last - first + 1) }, (_, i) => at(i + first, 0));
+
   for (let p = 0; p < pores.length; p += 4) {
     const omega = pores[p + 3] / (pore * pore), reach = Math.sqrt(depth / omega);
     const center = [0, 1, 2].map((a) => pores[p + a] + shift[a]);
     const spans = center.map((c, a) => span(c - reach, c + reach, a));
-    const [ex, ey, ez] = center.map((c, a) => profile(c, omega, spans[a]));
+    const [ex, ey, ez] = center.map((c, a) => profile(c, omega, spans[a])), column = columns(spans[0]);
     for (let k = 0; k < ez.length; k++) {
       const z = at(k + spans[2][0], 2) * ny;
       for (let j = 0; j < ey.length; j++) {
         const row = (z + at(j + spans[1][0], 1)) * nx, part = ez[k] * ey[j];
         if (part < law.cutoff) continue;
-        for (let i = 0; i < ex.length; i++) sums[row + at(i + spans[0][0], 0)] += part * ex[i];
+        for (let i = 0; i < ex.length; i++) sums[row + column[i]] += part * ex[i];
       }
     }
   }
@@ -37,6 +40,7 @@ function addKernels(sums, [nx, ny, nz], n, periodic, law, pores, tunnels, shift 
     const [[x0, x1], [y0, y1], [z0, z1]] = [0, 1, 2].map((a) =>
       span(Math.min(ends[a], ends[a + 3]) - reach, Math.max(ends[a], ends[a + 3]) + reach, a));
     const dx = bx - ax, dy = by - ay, dz = bz - az, length2 = dx * dx + dy * dy + dz * dz || 1;
+    const column = columns([x0, x1]);
     for (let k = z0; k <= z1; k++) {
       const pz = (k + 0.5) / n - az;
       for (let j = y0; j <= y1; j++) {
@@ -44,8 +48,8 @@ function addKernels(sums, [nx, ny, nz], n, periodic, law, pores, tunnels, shift 
         for (let i = x0; i <= x1; i++) {
           const px = (i + 0.5) / n - ax;
           const t = Math.max(0, Math.min(1, (px * dx + py * dy + pz * dz) / length2));
-          const d2 = (px - t * dx) ** 2 + (py - t * dy) ** 2 + (pz - t * dz) ** 2;
-          if (d2 < reach2) sums[row + at(i, 0)] += Math.exp(-mu * distance(d2));
+          const ox = px - t * dx, oy = py - t * dy, oz = pz - t * dz, d2 = ox * ox + oy * oy + oz * oz;
+          if (d2 < reach2) sums[row + column[i - x0]] += Math.exp(-mu * distance(d2));
         }
       }
     }

@@ -177,20 +177,22 @@ async function open(search, body) {
 }
 
 const dropped = (file) => file && open(new URLSearchParams({ name: file.name }), file);
-byId("mesh").addEventListener("change", (event) => dropped(event.target.files[0]));
-for (const name of ["dragenter", "dragover"]) {
-  document.addEventListener(name, (event) => {
-    if (![...event.dataTransfer.types].includes("Files")) return;
+if (byId("mesh")) {
+  byId("mesh").addEventListener("change", (event) => dropped(event.target.files[0]));
+  for (const name of ["dragenter", "dragover"]) {
+    document.addEventListener(name, (event) => {
+      if (![...event.dataTransfer.types].includes("Files")) return;
+      event.preventDefault();
+      document.body.classList.add("dropping");
+    });
+  }
+  document.addEventListener("dragleave", (event) => { if (!event.relatedTarget) document.body.classList.remove("dropping"); });
+  document.addEventListener("drop", (event) => {
     event.preventDefault();
-    document.body.classList.add("dropping");
+    document.body.classList.remove("dropping");
+    dropped(event.dataTransfer.files[0]);
   });
 }
-document.addEventListener("dragleave", (event) => { if (!event.relatedTarget) document.body.classList.remove("dropping"); });
-document.addEventListener("drop", (event) => {
-  event.preventDefault();
-  document.body.classList.remove("dropping");
-  dropped(event.dataTransfer.files[0]);
-});
 for (const id of ["design", "printer"]) {
   if (byId(id)) {
     byId(id).addEventListener("change", () => open(new URLSearchParams({

@@ -1,7 +1,9 @@
 // The studio: values go to the engine, and the cell and the text of the configuration come back. What only changes the
 // kernels' radii or the level is shown at once, before the engine has answered.
 const studio = jsonOf("head-studio"), changed = new Map();
-const waited = studio.part ? ["E", "k", "verdict"] : ["solid", "void", "E"];
+const waited = studio.part ? ["E", "k", "verdict"] : studio.alone ? [] : ["solid", "void", "E"];
+const counted = studio.alone ? ["pores", "tunnels", "level", "pore_radius", "tunnel_radius"] : ["pores", "tunnels"];
+const twice = studio.part || Boolean(studio.alone); // drawn quickly first, and exactly after a pause
 let live = null, request = null, timer = 0, patience = 0, last = null, base = new Map(), saveAnyway = false;
 
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
@@ -103,7 +105,7 @@ function restore(entries) {
     if (other) changed.set(key, values.get(key));
     control.classList.toggle("changed", other);
   }
-  draw(studio.part);
+  draw(twice);
 }
 
 function travel(from, to) {
@@ -152,10 +154,10 @@ async function draw(quick = false) {
   const own = (request = new AbortController()), asked = query();
   if (quick) asked.set("quick", "1");
   clearTimeout(patience);
-  said(live ? "drawing…" : "drawing; the first time kernels are compiled, which takes some seconds…", true);
+  said(live || studio.alone ? "drawing…" : "drawing; the first time kernels are compiled, which takes some seconds…", true);
   for (const key of waited) number(key, null, true);
   try {
-    const answer = await fetch(`cell?${asked}`, { signal: own.signal });
+    const answer = await (studio.alone ? answerAlone(asked) : fetch(`cell?${asked}`, { signal: own.signal }));
     if (answer.status === 409) return;
     if (!answer.ok) {
       showFaults((await answer.json()).errors);
@@ -167,7 +169,8 @@ async function draw(quick = false) {
     const length = new DataView(bytes.buffer).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + length)));
     await answered(head, bytes.subarray(4 + length));
-    patience = setTimeout(() => (head.quick ? draw() : count(asked, own)), head.quick ? 500 : 700);
+    if (head.quick) patience = setTimeout(() => draw(), 500);
+    else if (!studio.alone) patience = setTimeout(() => count(asked, own), 700);
   } catch (error) {
     if (error.name !== "AbortError") said(`no answer: ${error.message}. Is \`sppm studio\` still running?`);
   }
@@ -182,7 +185,7 @@ async function answered(head, view) {
   link.href = URL.createObjectURL(new Blob([head.yaml], { type: "application/yaml" }));
   if (head.part) partSaid(head);
   else if (head.porosity !== null) number("porosity", `${(100 * head.porosity).toFixed(2)} %`);
-  if (!studio.part) for (const key of ["pores", "tunnels"]) number(key, key in head.numbers ? String(head.numbers[key]) : "–");
+  if (!studio.part) for (const key of counted) number(key, key in head.numbers ? String(head.numbers[key]) : "–");
   byId("warnings").replaceChildren(...head.warnings.map((words) => Object.assign(document.createElement("li"), { textContent: words })));
   base = instants();
   if (live) await live.load(view);
@@ -201,7 +204,7 @@ async function answered(head, view) {
     while (pores && tiles.length < pores.length) tiles.add(new Option(String(tiles.length)));
   }
   Object.assign(byId("status").dataset, { drawn: head.digest, seconds: String(head.seconds), quick: head.quick ? "1" : "" });
-  said(`${head.quick ? "preview: one block of 27 cells, repeated," : "drawn"} in ${head.seconds.toFixed(2)} s`);
+  said(`${head.quick ? (studio.part ? "preview: one block of 27 cells, repeated," : "preview") : "drawn"} in ${head.seconds.toFixed(2)} s`);
 }
 
 // Connectivity and stiffness, once nothing has been moved for a while.
@@ -232,7 +235,7 @@ function moved(control, soon) {
 
 function later(soon) {
   clearTimeout(timer);
-  timer = setTimeout(() => draw(studio.part), soon ? 90 : 0);
+  timer = setTimeout(() => draw(twice), soon ? 90 : 0);
 }
 
 for (const control of all(".control")) {
@@ -275,12 +278,12 @@ document.addEventListener("keydown", (event) => {
   else travel(past, future);
 });
 byId("copy").addEventListener("click", async () => {
-  const file = studio.file || `${studio.name}.yaml`, command = `sppm run ${/^[\w./-]+$/.test(file) ? file : `'${file.replaceAll("'", "'\\''")}'`}`;
+  const file = studio.file || `${studio.name}.yaml`, command = studio.alone ? byId("yaml").textContent : `sppm run ${/^[\w./-]+$/.test(file) ? file : `'${file.replaceAll("'", "'\\''")}'`}`;
   try {
     await navigator.clipboard.writeText(command);
-    byId("said").textContent = `copied: ${command}`;
+    byId("said").textContent = studio.alone ? "copied" : `copied: ${command}`;
   } catch (error) {
-    byId("said").textContent = command;
+    byId("said").textContent = studio.alone ? "not copied: select the text below" : command;
   }
 });
 if (byId("save")) {
@@ -297,4 +300,4 @@ if (byId("save")) {
   });
 }
 steps();
-draw(studio.part);
+if (!studio.alone || !fromAddress()) draw(twice);
