@@ -27,6 +27,7 @@ test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows;
 
 docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documentation in build/site; warnings are errors
 	$(BIN)/python docs/generate_gallery.py --reports build/site/gallery/reports
+	$(BIN)/sppm studio --static build/site/studio.html
 	$(BIN)/python -m sphinx -W --keep-going -q -E -d build/doctrees docs build/site
 
 paper: $(VENV)/.installed-docs  ## run every figure and table of the paper and of the docs' results, and write their pages

@@ -55,6 +55,9 @@ def add_contents(app: Sphinx, name: str, source: list[str]) -> None:
     if name.startswith("gallery/") and report.exists():
         link = f'<p><a href="reports/{report.name}">The report of this run</a>, with a live view of what has one</p>'
         source[0] = re.sub(r"(?m)^!\[.*$", lambda picture: f"{picture[0]}\n\n{link}", source[0], count=1)
+    if name == "howto/design-a-cell" and Path(app.outdir, "studio.html").exists():
+        link = '<p><a href="../studio.html">Try it here</a>: a page that draws such cells without a server</p>'
+        source[0] = source[0].replace("\n\n", f"\n\n{link}\n\n", 1)
     if name.endswith("/README"):
         folder = name.removesuffix("README")
         there = {page.removeprefix(folder) for page in app.env.found_docs if page.startswith(folder)} - {"README"}

@@ -64,7 +64,8 @@ def test_twenty_files_have_the_graph_and_the_porosity_of_the_program(functions):
         asked.append({alone.ROLES[key]: value for key, value in values.items()})
     shown = functions.evaluate(
         """([cells, n, finer]) => cells.map((cell) => {
-          const graph = graphOf(cell), kernels = kernelsOf(graph, cell), level = levelFor(sumsOff(kernels, n), cell.porosity);
+          const graph = graphOf(cell), kernels = kernelsOf(graph, cell);
+          const level = levelFor(sumsOff(kernels, n), cell.porosity);
           return { ...graph, level, porosity: shareFrom(sumsOff(kernels, finer), level) };
         })""",
         [asked, SAMPLES, FINER],
