@@ -9,7 +9,7 @@ from typing import Any
 from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.features.browser.studio.controls import places
 from sppm_pipeline.features.browser.studio.design import Design
-from sppm_pipeline.features.browser.studio.server import studio_page
+from sppm_pipeline.features.browser.studio.page import studio_page
 
 START = """\
 # A periodic cell. `sppm run` draws it, and writes its surface and what it can bear.

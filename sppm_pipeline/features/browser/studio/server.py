@@ -18,19 +18,11 @@ from sppm_pipeline.engine.cli.new import DESIGNS
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
 from sppm_pipeline.errors import ConfigError, InputError, SppmError
-from sppm_pipeline.features.browser.live.page import (
-    ASSETS,
-    LIVE_SCRIPTS,
-    environment,
-    joined_script,
-    json_block,
-    policy,
-)
 from sppm_pipeline.features.browser.live.serving import LocalHandler, LocalServer
-from sppm_pipeline.features.browser.studio.controls import Control, places, with_values
+from sppm_pipeline.features.browser.studio.controls import places, with_values
 from sppm_pipeline.features.browser.studio.design import START, Changed, Design, Superseded
+from sppm_pipeline.features.browser.studio.page import studio_page
 from sppm_pipeline.features.browser.studio.parts import KIND, MESHES, begun, scratch_of
-from sppm_pipeline.nouns import cards
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -96,18 +88,8 @@ def execute(args: Namespace) -> int:
     return 0
 
 
-HERE = Path(__file__).parent
-
 MAX_BODY, MAX_MESH = 1_000_000, 2**28
 """Bytes of a request that are read, and of a mesh that is dropped onto the page."""
-
-ROLES = {
-    "design.sizes.strut": "struts", "design.sizes.pore": "pores", "field.gaussian.tunnel_radius": "radius of tunnels",
-    "field.gaussian.pore_radius": "radius of pores", "tile.scattered.cell": "cell size",
-    "tile.scattered.porosity": "porosity of the infill", "fill.implicit.skin": "skin thickness",
-    "fix.drains.diameter": "drain holes",
-}  # fmt: skip
-"""What stands first on the page of a part, as far as the file has it, and how it is called: struts and pores first."""
 
 TYPES = {".html": "text/html", ".png": "image/png", ".stl": "model/stl"}
 
@@ -132,7 +114,8 @@ class Studio:
 
     def hold(self, design: Design) -> None:
         """Put a design that is there already on the page."""
-        self._shown = (design, *studio_page(design, self))
+        begun = None if self.mesh is None else (self.kind, self.printer)
+        self._shown = (design, *studio_page(design, begun))
 
     def show(self, request: RunRequest, file: Path | None, *, fresh: bool = False) -> None:
         """Put another design in the place of the one on the page; `SppmError` if it can't be read."""
@@ -168,36 +151,6 @@ class Studio:
             here = Path(tempfile.mkdtemp(dir=self._dropped)) / name
             here.write_bytes(body)
         self.begin(here, self.kind, self.printer or None)
-
-
-def studio_page(
-    design: Design, studio: Studio | None = None, alone: tuple[list[Control], Mapping[str, Any]] | None = None
-) -> tuple[str, str]:
-    """The page, and the policy under which it may be shown: it fetches from its own server only.
-
-    A page that stands `alone` fetches nothing: it has these controls, and is told how they stand in its text.
-    """
-    names = ("part.js", "studio.js") if alone is None else ("part.js", "cell.js", "alone.js", "studio.js")
-    script = joined_script(
-        ASSETS / "base.js", *(ASSETS / name for name in LIVE_SCRIPTS), *(HERE / "assets" / name for name in names)
-    )
-    rules = policy(script) if alone else f"{policy(script)}; connect-src 'self'"
-    style = "".join(file.read_text(encoding="utf-8") for file in (ASSETS / "live.css", HERE / "assets" / "studio.css"))
-    groups = {
-        name: {group: [c for c in controls if c.group == group] for group in dict.fromkeys(c.group for c in controls)}
-        for name, controls in (design.controls if alone is None else {design.targets[0].name: alone[0]}).items()
-    }
-    file = "" if design.file is None else str(design.file)
-    said = {"file": file, "name": design.name, "part": design.is_part}
-    page = environment(HERE / "templates").get_template("studio.html").render(
-        name=design.name, groups=groups, targets=[*groups], file=file,
-        yaml=design.text, script=script, style=style, policy=rules,
-        data=json_block(said | ({"alone": alone[1]} if alone else {})), part=design.is_part,
-        roles=ROLES, meshes=",".join(MESHES), designs=DESIGNS if studio is not None and studio.mesh is not None else (),
-        kind="" if studio is None else studio.kind, printer="" if studio is None else studio.printer,
-        printers=sorted(cards().printers), alone=alone is not None,
-    )  # fmt: skip
-    return page, rules
 
 
 def server_of(shown: Design | Studio, port: int = 0) -> LocalServer:
