@@ -37,7 +37,7 @@ def studio_page(
     """The page, and the policy under which it may be shown: it fetches from its own server only.
 
     Of a part that a mesh has begun, `begun` are the kind of design and the printer. A page that stands `alone` fetches
-    nothing: it has these controls, and is told how they stand in its text.
+    nothing: it has these controls, and knows where they stand in its text.
     """
     names = ("part.js", "studio.js") if alone is None else ("part.js", "cell.js", "alone.js", "studio.js")
     script = joined_script(
