@@ -190,12 +190,18 @@ class Surface(NamedTuple):
         What they are.
     unit : str
         Of the coordinates, such as "mm".
+    still : (n, 3) float, optional
+        Where the vertices were before they moved; a live view then has a slider of what they move.
+    magnified : float
+        Factor of these displacements in `vertices`.
     """
 
     vertices: NDArray[np.floating[Any]]
     faces: NDArray[np.integer[Any]]
     title: str
     unit: str
+    still: NDArray[np.floating[Any]] | None = None
+    magnified: float = 1.0
 
 
 class Viewable(Artifact, ABC):

@@ -100,10 +100,10 @@ class PartResult(Report, Viewable):
         return np.asarray(self.points + np.float32(self.magnification) * held * moved, np.float32)
 
     def live_view(self) -> Surface:
-        """The deformed surface in its first case."""
+        """The deformed surface in its first case, and the surface as it was."""
         shown = self.shown(0)
         title = f"{next(iter(self.cases))}, displacements {self.magnification:g} times"
-        return Surface(shown, self.triangles, title, "mm")
+        return Surface(shown, self.triangles, title, "mm", self.points, self.magnification)
 
     def picture(self) -> NDArray[np.uint8]:
         """The deformed part in its first case, in colors of the stress."""

@@ -19,6 +19,7 @@ from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.report.build import report_html
 from sppm_pipeline.features.browser.report.records import read_record
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.artifact import Surface, Viewable
 from sppm_pipeline.numerics import Grid, cell_centers
 from sppm_pipeline.services.elastic.directional import sphere_mesh
 
@@ -430,3 +431,32 @@ def test_what_an_open_mesh_shows_of_its_back_is_no_cap(browser, tmp_path):
     assert len(back) > 100
     assert np.ptp(back, axis=0).max() > 40  # round
     page.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class Stretched(Viewable):
+    """A ball that was stretched to twice its height."""
+
+    def live_view(self):
+        ball, faces = sphere_mesh(4)
+        return Surface(ball * [1, 1, 2], faces, "a ball", "mm", ball, 50.0)
+
+
+def test_a_slider_takes_back_what_a_surface_has_moved(browser, tmp_path):
+    view = view_of(Stretched())
+    (tmp_path / "ball.html").write_text(live_page(view), encoding="utf-8")
+    page = browser.new_page(viewport={"width": WIDTH, "height": 500})
+    page.goto((tmp_path / "ball.html").as_uri())
+    areas, words = {}, []
+    for share in (1, 0.5, 0):
+        page.evaluate("delete document.getElementById('live-canvas').dataset.passes")
+        slide(page, "live-moved", share)
+        until(page, SETTLED, "no ball")
+        areas[share] = (pixels_of(page, "live-canvas")[:, :, 3] > 127).sum()
+        words.append(page.inner_text("#live-moved-readout"))
+    page.close()
+    assert words == ["50 times", "25 times", "as it was"]
+    # the shadow of an ellipsoid with axes 1, 1, c along a direction of height z is pi (c^2 + (1 - c^2) z^2)^(1/2)
+    z2 = (4 - (areas[1] / areas[0]) ** 2) / 3
+    assert 0 < z2 < 0.9
+    assert areas[0.5] / areas[0] == pytest.approx(np.sqrt(2.25 - 1.25 * z2), rel=0.02)

@@ -126,7 +126,10 @@ def test_a_resolved_part_balances_and_is_written(part, tmp_path):
     with Image.open(tmp_path / "part.png") as picture:
         assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 20
     assert made.picture().shape[2] == 3
-    assert made.live_view().faces.max() < len(made.points)
+    surface = made.live_view()
+    assert surface.faces.max() < len(made.points)
+    assert (surface.still == made.points).all()
+    assert surface.magnified == made.magnification
     # what hangs by an edge of a voxel does not fly out of the picture
     flying = replace(made, moved=np.where(np.arange(len(made.points))[None, :, None] == 3, 1e6, made.moved))
     assert np.abs(flying.shown(0) - made.points).max() <= 1.001 * made.magnification * made.deflection

@@ -32,49 +32,58 @@ def view_of(what: Artifact, *, samples: int = SAMPLES, threads: int = 1) -> byte
         return bytes(viewer.maker("view")(what, samples, threads))
     if not isinstance(what, Viewable):
         raise DesignError(f"a {type(what).__name__} has no live view")
-    vertices, faces, title, unit = what.live_view()
-    if not len(faces):
-        raise DesignError(f"the {title} has no triangles, so that there is nothing to be shown")
-    return mesh_view(vertices, faces, title=title, unit=unit, most=TRIANGLES * min(samples, SAMPLES) // SAMPLES)
+    surface = what.live_view()
+    if not len(surface.faces):
+        raise DesignError(f"the {surface.title} has no triangles, so that there is nothing to be shown")
+    return mesh_view(*surface, most=TRIANGLES * min(samples, SAMPLES) // SAMPLES)
 
 
 def mesh_view(
-    vertices: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], *, title: str, unit: str,
-    most: int = TRIANGLES,
+    vertices: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], title: str, unit: str,
+    still: NDArray[np.floating[Any]] | None = None, magnified: float = 1.0, *, most: int = TRIANGLES,
 ) -> bytes:  # fmt: skip
     """The view file of a mesh, vertices (n, 3) and at least one of faces (m, 3).
 
     `unit` says of what its coordinates are: "mm", or what the modulus surface of a stiffness has. Of over `most`
-    triangles, vertices in small cubes are merged, and triangles that vanish are left out.
+    triangles, vertices in small cubes are merged, and triangles that vanish are left out. With `still` (n, 3), where
+    the vertices were before they moved, these are merged as the others are, and the view has a slider between both.
     """
     from sppm_pipeline.services.mesh.measures import balanced_edges
 
     used, corners = np.unique(faces, return_inverse=True)
     points, triangles = np.asarray(vertices, float)[used], corners.reshape(-1, 3)
+    if still is not None:
+        points = np.concatenate([points, np.asarray(still, float)[used]], axis=1)
     # 16 bits along the longest edge resolve more than a screen does
-    low, size = points.min(0), np.ptp(points, axis=0)
+    box = points.reshape(-1, 3)
+    low, size = box.min(0), np.ptp(box, axis=0)
     kept, shown = clustered(points, triangles, most)
     longest = float(size.max()) or 1.0
-    steps = np.rint((kept - low) / longest * STEPS).astype(np.uint16)
+    steps = np.rint((kept.reshape(len(kept), -1, 3) - low) / longest * STEPS).astype(np.uint16)
     head = {
         "kind": "mesh", "title": title, "unit": unit, "edge_mm": None, "periodic": False, "explore": None,
         "triangles": len(faces), "shown": len(shown), "closed": balanced_edges(shown),
         "size": size.tolist(), "origin": low.tolist(), "level": 0.0, "base": 0.0, "top": 1.0, "porosity": None,
+        "magnified": None if still is None else magnified,
     }  # fmt: skip
-    return encode_view(head, {"vertices": steps.T, "faces": shown.astype(np.uint32).T})
+    arrays = {"vertices": steps[:, 0].T, "faces": shown.astype(np.uint32).T}
+    return encode_view(head, arrays if still is None else arrays | {"still": steps[:, 1].T})
 
 
 def clustered(points: F64, faces: NDArray[np.integer[Any]], most: int) -> tuple[F64, I64]:
-    """Vertices and triangles, at most `most` of them, as the vertices in cubes of a grid are merged into their mean.
+    """Vertices (n, 3 or more) and triangles, at most `most` of them, as the vertices in cubes of a grid are merged into
+    their mean.
 
-    The grid is the finest of those tried, each coarser by 15 %; vertices are sorted by cubes, triangles by vertices.
+    The grid is that of the first three columns, and the finest of those tried, each coarser by 15 %; vertices are
+    sorted by cubes, triangles by vertices.
     Method: vertex clustering (Rossignac and Borrel 1993).
     """
-    low, longest = points.min(0), float(np.ptp(points, axis=0).max()) or 1.0
+    first = points[:, :3]
+    low, longest = first.min(0), float(np.ptp(first, axis=0).max()) or 1.0
     cells = 2048.0 if len(faces) <= most else 2.0 * most**0.5
     while True:
         n = max(1, int(cells))
-        cube = np.minimum((points - low) * (n / longest), n - 1).astype(np.int64)
+        cube = np.minimum((first - low) * (n / longest), n - 1).astype(np.int64)
         key = (cube[:, 2] * n + cube[:, 1]) * n + cube[:, 0]
         if len(faces) <= most:
             key = key * len(points) + np.arange(len(points))  # none are merged, and neighbors still stand together
@@ -87,5 +96,5 @@ def clustered(points: F64, faces: NDArray[np.integer[Any]], most: int) -> tuple[
         if len(corners) <= most:
             break
         cells /= 1.15
-    mean = np.stack([np.bincount(group, points[:, axis]) / count for axis in range(3)], 1)
+    mean = np.stack([np.bincount(group, points[:, axis]) / count for axis in range(points.shape[1])], 1)
     return mean, corners[np.lexsort(corners.T[::-1])]

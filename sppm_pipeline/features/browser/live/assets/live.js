@@ -55,7 +55,7 @@ async function startLive(bytes) {
   function fill(n) {
     if (state.cells) return fillCells();
     if (head.kind === "mesh") {
-      view.loadMesh(arrays.vertices, arrays.faces, head.size, head.closed);
+      view.loadMesh(arrays.vertices, arrays.faces, head.size, head.closed, arrays.still);
     } else if (kernels) {
       const sums = sumKernels(head, part(arrays.pores, head.pores, 4), part(arrays.tunnels, head.tunnels, 7), n, state.pore, state.tunnel);
       const field = sumBytes(sums, head.top);
@@ -133,6 +133,13 @@ async function startLive(bytes) {
   };
   on("cut", "input", cut);
   on("axis", "change", cut);
+  const move = () => {
+    const share = +slider("moved").value;
+    view.share = share;
+    slider("moved-readout").textContent = share ? `${Number((share * head.magnified).toPrecision(3))} times` : "as it was";
+    view.changed();
+  };
+  on("moved", "input", move);
   const explore = () => {
     state.cells = slider("explore").checked ? ["x", "y", "z"].map((name) => +slider(`cell-${name}`).value) : null;
     fill(head.n);
@@ -212,6 +219,7 @@ async function startLive(bytes) {
   };
   said();
   cutSaid();
+  if (slider("moved")) move();
   view.changed();
   return {
     head: () => head,

@@ -5,14 +5,17 @@ const CORNER = `#version 300 es
 precision highp float;
 layout(location = 0) in vec3 place;
 layout(location = 1) in vec3 way;
+layout(location = 2) in vec3 still;
+layout(location = 3) in vec3 wayStill;
+uniform float share;  // of what the vertices move
 uniform vec3 box, right, up, toward;
 uniform vec2 middle, pixels, jitter;
 uniform float pixel, depth;
 out vec3 at, smooth_;
 invariant gl_Position;
 void main() {
-  at = place;
-  smooth_ = way;
+  at = mix(still, place, share);
+  smooth_ = mix(wayStill, way, share);
   vec2 s = (vec2(dot(right, at), dot(up, at)) - middle) / pixel - jitter;
   gl_Position = vec4(2.0 * s / pixels, -dot(toward, at - 0.5 * box) / depth, 1.0);
 }`;
@@ -37,26 +40,22 @@ class MeshView extends View {
     super(canvas);
     this.triangles = this.program(TRIANGLE, CORNER);
     this.depth = this.gl.createRenderbuffer();
+    this.share = 1;
   }
 
-  // Vertices as x..., y..., z... in steps of 1/65535 of the longest edge; corners of triangles likewise.
-  loadMesh(vertices, faces, size, closed) {
-    const gl = this.gl, n = vertices.length / 3, m = faces.length / 3, longest = Math.max(...size) || 1;
-    const places = new Float32Array(3 * n), ways = new Float32Array(3 * n), corners = new Uint32Array(3 * m);
-    for (let i = 0; i < n; i++) for (let a = 0; a < 3; a++) places[3 * i + a] = vertices[a * n + i] / 65535;
-    for (let t = 0; t < m; t++) {
-      const [p, q, r] = [faces[t], faces[m + t], faces[2 * m + t]];
-      corners.set([p, q, r], 3 * t);
-      const u = [0, 1, 2].map((a) => places[3 * q + a] - places[3 * p + a]), v = [0, 1, 2].map((a) => places[3 * r + a] - places[3 * p + a]);
-      const way = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-      for (const c of [p, q, r]) for (let a = 0; a < 3; a++) ways[3 * c + a] += way[a];
-    }
-    for (let i = 0; i < 3 * n; i += 3) {
-      const length = Math.hypot(ways[i], ways[i + 1], ways[i + 2]) || 1;
-      for (let a = 0; a < 3; a++) ways[i + a] /= length;
-    }
-    Object.assign(this, { size: size.map((s) => s / longest), count: 3 * m, places, closed, domain: false, periodic: false });
-    [places, ways].forEach((data, index) => {
+  // Vertices as x..., y..., z... in steps of 1/65535 of the longest edge; corners of triangles likewise; and where the
+  // vertices were before they moved, if they did.
+  loadMesh(vertices, faces, size, closed, still) {
+    const gl = this.gl, n = vertices.length / 3, m = faces.length / 3, longest = Math.max(...size) || 1, corners = new Uint32Array(3 * m);
+    for (let t = 0; t < m; t++) corners.set([faces[t], faces[m + t], faces[2 * m + t]], 3 * t);
+    const shape = (numbers) => {
+      const places = new Float32Array(3 * n);
+      for (let i = 0; i < n; i++) for (let a = 0; a < 3; a++) places[3 * i + a] = numbers[a * n + i] / 65535;
+      return [places, directions(places, corners)];
+    };
+    const moved = shape(vertices);
+    Object.assign(this, { size: size.map((s) => s / longest), count: 3 * m, places: moved[0], closed, domain: false, periodic: false });
+    [...moved, ...(still ? shape(still) : moved)].forEach((data, index) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(index);
@@ -81,6 +80,7 @@ class MeshView extends View {
     }
     const { high } = this.aim(this.triangles, w, h);
     gl.uniform3fv(u("box"), this.size);
+    gl.uniform1f(u("share"), this.share);
     gl.uniform3fv(u("high"), high.map((v, a) => (a === this.cut.axis && this.cut.at < 1 ? v : v + 1)));
     gl.uniform3fv(u("cut"), high.map((_, a) => (this.closed && a === this.cut.axis && this.cut.at < 1 ? 1 : 0)));
     gl.uniform1f(u("depth"), Math.hypot(...this.size));
@@ -93,4 +93,20 @@ class MeshView extends View {
     }
     gl.disable(gl.DEPTH_TEST);
   }
+}
+
+// The mean direction of the triangles about each vertex.
+function directions(places, corners) {
+  const ways = new Float32Array(places.length);
+  for (let t = 0; t < corners.length; t += 3) {
+    const [p, q, r] = corners.subarray(t, t + 3);
+    const u = [0, 1, 2].map((a) => places[3 * q + a] - places[3 * p + a]), v = [0, 1, 2].map((a) => places[3 * r + a] - places[3 * p + a]);
+    const way = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    for (const c of [p, q, r]) for (let a = 0; a < 3; a++) ways[3 * c + a] += way[a];
+  }
+  for (let i = 0; i < ways.length; i += 3) {
+    const length = Math.hypot(ways[i], ways[i + 1], ways[i + 2]) || 1;
+    for (let a = 0; a < 3; a++) ways[i + a] /= length;
+  }
+  return ways;
 }
