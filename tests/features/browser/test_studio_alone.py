@@ -200,6 +200,10 @@ def test_errors_are_shown_at_their_control(page, key, value, words):
     until(page, f"document.querySelector(\"[data-key='{key}'] .fault\").hidden", "the error stays")
 
 
+def test_the_page_is_usable(page, usable):
+    usable(page, ["[data-key='params.pores'] [type=range]", "#live-cut"])
+
+
 def test_it_holds_all_that_it_needs(page, file):
     text = file.read_text(encoding="utf-8")
     assert len(text.encode()) < 400_000

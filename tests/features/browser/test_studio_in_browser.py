@@ -120,6 +120,10 @@ def test_the_file_can_be_downloaded(page):
     assert download.value.path().read_text(encoding="utf-8").strip() == page.inner_text("#yaml").strip()
 
 
+def test_the_studio_is_usable(page, usable):
+    usable(page, ["[data-key='params.pores'] [type=range]", "#live-cut"])
+
+
 def test_nothing_else_is_asked_and_nothing_overflows(page):
     assert all(url.startswith((page.home, "blob:")) for url in page.asked)
     # refused values are answered with 422; software that draws in place of a graphics card tells of its slowness
