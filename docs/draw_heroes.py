@@ -1,7 +1,8 @@
-"""Draw the pictures of `docs/pictures/hero-*.png`: parts from primitives in one material each.
+"""Draw the pictures of `docs/pictures/hero-*.png`: things made of primitives, in one material each, some beside a plain
+disc of 23 mm, as large as a coin.
 
-Usage: ``python docs/draw_heroes.py [--size 2400]`` writes them, 1200 pixels wide if no size is given, and prints the
-seconds of processor time of each picture.
+Usage: ``python docs/draw_heroes.py [--size 2400] [NAMES]`` writes them, 1200 pixels wide if no size is given, and
+prints the seconds of processor time of each picture.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,41 +24,122 @@ CELL = [
     {"stage": "connect.mbdst", "degree": [3, 5], "mode": "greedy"},
     {"stage": "field.gaussian", "pore_radius": 0.11, "tunnel_radius": 0.03},
 ]
-HEROES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
-    "cage": (
-        {"shape": "cylinder", "size": ["22 mm", "22 mm", "12 mm"]}, {"skin": "0.9 mm"},
-        {"material": "titanium", "section": 0.5, "section_along": "corner", "cut": "plain", "azimuth": -52.0},
-    ),
-    "knot": (
-        {"shape": "torus_knot", "size": ["30 mm", "30 mm", "15 mm"]}, {}, {"material": "resin", "elevation": 30.0},
-    ),
+
+Place = tuple[float, float, float]
+
+
+def body(shape: str, *size: float) -> sppm.SurfaceMesh:
+    """A primitive of these sizes in mm, which stands on the ground."""
+    return sppm.read.primitive(shape=shape, size=[f"{edge} mm" for edge in size])
+
+
+def combined(
+    mesh: sppm.SurfaceMesh, operation: str, tool: sppm.SurfaceMesh, *at: Place, turn: Place = (0, 0, 0)
+) -> sppm.SurfaceMesh:
+    """A mesh with another one, at some places in mm."""
+    places = [[f"{v} mm" for v in place] for place in at or [(0.0, 0.0, 0.0)]]
+    return sppm.fill.combine(mesh=mesh, tool=tool, operation=operation, at=places, turn=list(turn))
+
+
+def implant_cage() -> sppm.SurfaceMesh:
+    """A cage between two vertebrae: a rounded box with a window for bone, and a groove for the tool."""
+    ends = combined(body("box", 16, 18, 9), "union", body("cylinder", 18, 18, 9), (-8, 0, 0), (8, 0, 0))
+    window = combined(body("box", 12, 8, 20), "union", body("cylinder", 8, 8, 20), (-6, 0, 0), (6, 0, 0))
+    return combined(ends, "difference", window, (0, 0, -5))
+
+
+def helmet_liner() -> sppm.SurfaceMesh:
+    """A pad of a liner: a part of a thick sphere."""
+    shell = combined(body("ball", 120, 120, 120), "difference", body("ball", 92, 92, 92), (0, 0, 14))
+    return combined(shell, "intersection", body("box", 70, 52, 60), (0, 0, 84))
+
+
+def handle() -> sppm.SurfaceMesh:
+    """A grip with a hole for the rod, lying: a cylinder with three shallow grooves."""
+    grip = body("cylinder", 27, 27, 84)
+    for height in (11.0, 32.0, 53.0):
+        grip = combined(grip, "difference", body("torus", 53, 53, 21), (0, 0, height))
+    grip = combined(grip, "difference", body("cylinder", 9, 9, 80), (0, 0, -12))
+    return combined(body("box", 200, 200, 200), "intersection", grip, (-42, 0, 13.5), turn=(0, 90, 0))
+
+
+def filter_cartridge() -> sppm.SurfaceMesh:
+    """A hollow cylinder, through whose wall a liquid runs."""
+    return combined(body("cylinder", 30, 30, 34), "difference", body("cylinder", 13, 13, 60), (0, 0, -10))
+
+
+def heat_sink() -> sppm.SurfaceMesh:
+    """A plate with open ribs."""
+    ribs = [(0.0, y, 0.0) for y in (-14.5, -4.83, 4.83, 14.5)]
+    return combined(body("box", 34, 34, 2.4), "union", body("box", 34, 5, 16), *ribs)
+
+
+def coin() -> sppm.SurfaceMesh:
+    """A plain disc of 23 mm with a rim."""
+    return combined(body("cylinder", 23, 23, 2.2), "difference", body("cylinder", 20.6, 20.6, 4), (0, 0, 1.8))
+
+
+def primitive(shape: str, *size: float) -> Any:
+    """A maker of a primitive."""
+    return lambda: body(shape, *size)
+
+
+TITANIUM, BONE, RESIN = {"material": "titanium"}, {"material": "bone"}, {"material": "resin"}
+OPEN = {"section": 0.5, "section_along": "corner", "cut": "plain"}
+
+HEROES: dict[str, tuple[Any, str, dict[str, Any], Place | None, dict[str, Any]]] = {
+    "cage": (primitive("cylinder", 22, 22, 12), "4 mm", {"skin": "0.9 mm"}, None, TITANIUM | OPEN | {"azimuth": -52.0}),
+    "knot": (primitive("torus_knot", 30, 30, 15), "4 mm", {}, None, RESIN | {"elevation": 30.0}),
     "ball": (
-        {"shape": "ball", "size": ["24 mm", "24 mm", "24 mm"]}, {},
-        {"material": "bone", "section": 0.5, "section_along": "corner", "azimuth": -48.0, "background": "dark"},
+        primitive("ball", 24, 24, 24), "4 mm", {}, None,
+        BONE | {"section": 0.5, "section_along": "corner", "azimuth": -48.0, "background": "dark"},
+    ),
+    "implant": (implant_cage, "4 mm", {}, (4, -20.45, 0), TITANIUM | {"azimuth": -65.0, "elevation": 32.0}),
+    "liner": (helmet_liner, "10 mm", {}, None, RESIN | {"azimuth": -62.0, "elevation": 24.0}),
+    "handle": (handle, "6 mm", {"skin": "1.2 mm"}, None, RESIN | OPEN | {"azimuth": -58.0, "elevation": 24.0}),
+    "filter": (filter_cartridge, "6 mm", {}, (9, -24.85, 0), BONE | {"azimuth": -58.0, "elevation": 30.0}),
+    "sink": (
+        heat_sink, "4 mm", {"skin": "2.4 mm", "skin_toward": [[0, 0, -1]]}, None,
+        TITANIUM | {"azimuth": -58.0, "elevation": 30.0},
     ),
 }  # fmt: skip
-"""Name -> options of the primitive, of the filling, and of the picture."""
+"""Name -> body, cell size, options of the filling, place of the disc, options of the picture."""
 
 
-def main() -> None:
-    """Fill each primitive with scattered pores, and draw it."""
+def drawn(name: str, width: int, path: Path) -> float:
+    """Fill a body with scattered pores, and draw it; seconds of processor time of the picture."""
+    make, cell, filling, place, view = HEROES[name]
+    whole = make()
+    near = {}
+    if place is not None:
+        disc = coin()
+        whole = combined(whole, "union", disc, place)
+        near = {"skin_near": combined(body("box", 0.01, 0.01, 0.01), "union", disc, place)}
+        filling = {**filling, "skin": "1.1 mm", "skin_within": "0.01 mm"}
+    cells = sppm.tile.scattered(whole, recipe=CELL, cell=cell, porosity=0.7, seed=7)
+    part = sppm.fill.implicit(cells, domain=whole, **near, **filling)
+    began = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        sppm.write.picture(
+            part, path="hero.png", image_size=(width, width * 3 // 4), resolution=48, shadow=True, annotate=False,
+            output=folder, **view,
+        )  # fmt: skip
+        picture = Image.open(Path(folder, "hero.png")).convert("RGB")
+    picture.quantize(192, dither=Image.Dither.FLOYDSTEINBERG).save(path, "PNG", optimize=True)
+    return time.process_time() - began
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw those that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAMES", help=f"of {', '.join(HEROES)}; all if omitted")
     parser.add_argument("--size", type=int, default=1200, help="width in pixels")
-    width = parser.parse_args().size
-    for name, (shape, filling, view) in HEROES.items():
-        body = sppm.read.primitive(**shape)
-        cells = sppm.tile.scattered(body, recipe=CELL, cell="4 mm", porosity=0.7, seed=7)
-        part = sppm.fill.implicit(cells, body, **filling)
-        began = time.process_time()
-        with tempfile.TemporaryDirectory() as folder:
-            sppm.write.picture(
-                part, path="hero.png", image_size=(width, width * 3 // 4), resolution=48, shadow=True, annotate=False,
-                output=folder, **view,
-            )  # fmt: skip
-            picture = Image.open(Path(folder, "hero.png")).convert("RGB")
-        path = ROOT / "docs" / "pictures" / f"hero-{name}.png"
-        picture.quantize(192, dither=Image.Dither.FLOYDSTEINBERG).save(path, "PNG", optimize=True)
-        print(f"{path.name}: {time.process_time() - began:.1f} CPU-s, {path.stat().st_size / 1e6:.2f} MB")
+    parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "pictures")
+    args = parser.parse_args(arguments)
+    for name in args.names or HEROES:
+        path = args.folder / f"hero-{name}.png"
+        seconds = drawn(name, args.size, path)
+        print(f"{path.name}: {seconds:.1f} CPU-s, {path.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -69,6 +69,14 @@ GALLERY = {
 }
 """Title of each example, and which of its files is its picture, by heading."""
 
+THINGS = {
+    "implant": "A cage between two vertebrae", "cage": "A puck with a skin, cut open",
+    "liner": "A pad of a helmet liner", "handle": "A handle with a skin, cut open",
+    "filter": "A filter cartridge", "sink": "A heat sink with open ribs",
+    "knot": "A torus knot", "ball": "A ball, cut open",
+}  # fmt: skip
+"""Captions of the pictures that ``draw_heroes.py`` draws."""
+
 LARGEST = (760, 600)
 """Pixels of a picture; larger ones are reduced."""
 
@@ -99,6 +107,14 @@ def index_page() -> str:
         "",
         "Click a picture for the YAML and the Python that make it.",
     ]
+    first = [f"![{title}](../pictures/hero-{name}.png)<br>{title}" for name, title in THINGS.items()]
+    lines += [
+        "",
+        "## Things",
+        "",
+        "Bodies from primitives, filled by [a script](../draw_heroes.py). The disc is 23 mm wide.",
+    ]
+    lines += ["", "| | |", "|---|---|", *(f"| {a} | {b} |" for a, b in zip(first[::2], first[1::2], strict=True))]
     for heading, group in GALLERY.items():
         lines += ["", f"## {heading}", "", "| | |", "|---|---|"]
         cells = [f"[![{title}]({name}.png)]({name}.md)<br>{title}" for name, (title, _) in group.items()]
