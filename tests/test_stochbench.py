@@ -30,12 +30,67 @@ def test_porosity_is_counted():
     assert found["largest error"] == pytest.approx(0.05)
 
 
+def test_what_is_cut_off_a_filled_ball_is_loose():
+    fill = bench.load(bench.HERE / "fill" / "check.py")
+    body = fill.ball(1.25, 3, 32)
+    assert body.sum() / 32**3 == pytest.approx(4 / 3 * np.pi * 1.25**3, rel=2e-3)
+    slabs = np.zeros((32, 32, 32), bool)
+    slabs[:16] = True  # three slabs, of which the middle one is the largest
+    part = body & np.tile(slabs, [3, 3, 3])
+    found = fill.check([slabs], [{}], {"radius": 1.25, "cells": 3, "porosity": 0.5})
+    assert found["loose share of solid"] == pytest.approx(1 - part[32:64].sum() / part.sum())
+    assert found["largest error of porosity"] == pytest.approx(abs(part.sum() / body.sum() - 0.5))
+    assert found["empty layers"] == 0
+    slabs = np.moveaxis(slabs, 0, 2)
+    assert fill.check([slabs], [{}], {"radius": 1.25, "cells": 3, "porosity": 0.5})["empty layers"] > 30
+
+
+def test_islands_overhang_and_trapped_resin_are_counted():
+    defects = bench.load(bench.HERE / "defects" / "check.py")
+    table = np.zeros((7, 7, 7), bool)
+    table[3, 3, :5] = table[:, :, 5] = True
+    assert defects.islands(table) == (0, 0)
+    assert defects.overhang(table) == pytest.approx((49 - 5) / (49 + 4))
+    table[1, 1:3, 2] = True  # an island of two pixels, begun in air
+    assert defects.islands(table) == (1, 2)
+    hollow = np.ones((6, 6, 6), bool)
+    hollow[2:4, 2:4, 2:4] = False
+    assert defects.trapped(hollow) == 1
+    hollow[2, 2, 4:] = False
+    assert defects.trapped(hollow) == 0
+    found = defects.check([table[1:, 1:, 1:]], [{}], {"cells": 2})
+    assert found["islands a cell"] == pytest.approx((4 + 4 + 4) / 8)
+
+
+def test_statistics_of_the_scans_are_known_exactly():
+    twin = bench.load(bench.HERE / "twin" / "check.py")
+    truth = {"radius": 0.2, "balls": 20}
+    draws = [twin.s2(twin.scans.scan(seed, 32, **truth)) for seed in range(40)]
+    found = np.array([values for _, values in draws])
+    exact = twin.scans.exact_s2(draws[0][0], **truth)
+    error = found.std(axis=0) / np.sqrt(len(found))
+    assert (np.abs(found.mean(axis=0) - exact) < 4 * error + 2e-3).all()
+    one = twin.scans.scan(1, 32, **truth)
+    scored = twin.check([one], [{"scan": {"seed": 1, "n": 32}, "seed": 1}], truth)
+    assert scored["e of the twin"] == scored["e of the scan"]
+    assert scored["is the scan"] == 1
+
+
+def test_a_twin_is_another_structure_with_the_porosity_of_the_scan():
+    twin = bench.load(bench.HERE / "twin" / "check.py")
+    scan = twin.scans.scan(3, 16, 0.2, 20)
+    made = bench.tools()["spinodoid"].twin(scan, 1)
+    assert made.mean() == pytest.approx(scan.mean(), abs=1 / 16**3)
+    assert (made != scan).mean() > 0.1
+
+
 def test_every_task_has_inputs_truth_and_a_checker():
-    assert set(bench.tasks()) == {"connected", "porosity", "stiffness"}
+    assert set(bench.tasks()) == {"connected", "defects", "fill", "porosity", "stiffness", "twin"}
     for folder in bench.tasks().values():
         task = json.loads((folder / "task.json").read_text(encoding="utf-8"))
         assert task["truth"]
-        assert all(set(one) == {"porosity", "seed", "n"} for one in task["inputs"])
+        keys = {"scan", "seed"} if folder.name == "twin" else {"porosity", "seed", "n"}
+        assert all(set(one) == keys for one in task["inputs"])
         assert callable(bench.load(folder / "check.py").check)
         assert f"| `{folder.name}` |" in (bench.HERE / "README.md").read_text(encoding="utf-8")
 

@@ -37,16 +37,28 @@ def tasks() -> dict[str, Path]:
     return {path.parent.name: path.parent for path in sorted(HERE.glob("*/task.json"))}
 
 
+def asked(folder: Path) -> tuple[str, dict[str, Any]]:
+    """The function of a tool that a task calls, and what the task says."""
+    task = json.loads((folder / "task.json").read_text(encoding="utf-8"))
+    return task.get("asks", "make"), task
+
+
 def run(tool: ModuleType, folder: Path) -> dict[str, Any]:
     """The numbers of a tool in a task, and the seconds that it took to make the cells."""
-    task = json.loads((folder / "task.json").read_text(encoding="utf-8"))
+    name, task = asked(folder)
+    check, truth = load(folder / "check.py"), task["truth"]
+    given = [
+        {**one, "scan": check.scans.scan(**one["scan"], radius=truth["radius"], balls=truth["balls"])}
+        if "scan" in one else one for one in task["inputs"]
+    ]  # fmt: skip
     began = time.process_time()
-    cells = [tool.make(**one) for one in task["inputs"]]
+    cells = [getattr(tool, name)(**one) for one in given]
     seconds = time.process_time() - began
     for cell, one in zip(cells, task["inputs"], strict=True):
-        if cell.shape != (one["n"],) * 3 or cell.dtype != bool:
-            raise ValueError(f"a cell of {one} is {cell.shape} {cell.dtype}, and must be ({one['n']},)*3 bool")
-    return {**load(folder / "check.py").check(cells, task["inputs"], task["truth"]), "CPU s": round(seconds, 1)}
+        n = one.get("n") or one["scan"]["n"]
+        if cell.shape != (n,) * 3 or cell.dtype != bool:
+            raise ValueError(f"a cell of {one} is {cell.shape} {cell.dtype}, and must be ({n},)*3 bool")
+    return {**check.check(cells, task["inputs"], truth), "CPU s": round(seconds, 1)}
 
 
 def main() -> None:
@@ -59,7 +71,10 @@ def main() -> None:
     for name, folder in tasks().items():
         if args.task and name not in args.task:
             continue
-        rows = {tool: run(module, folder) for tool, module in tools().items() if not args.tool or tool in args.tool}
+        able = {tool: module for tool, module in tools().items() if hasattr(module, asked(folder)[0])}
+        rows = {tool: run(module, folder) for tool, module in able.items() if not args.tool or tool in args.tool}
+        if not rows:
+            continue
         heads = list(next(iter(rows.values())))
         print(f"\n{name}\n\n| tool | {' | '.join(heads)} |\n|---|{'---|' * len(heads)}")
         for tool, row in rows.items():
