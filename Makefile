@@ -41,7 +41,7 @@ $(VENV)/.installed: pyproject.toml
 	@echo "== making a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
 	@echo "== installing the program and its libraries there"
-	$(BIN)/pip install --disable-pip-version-check --editable .
+	$(BIN)/pip install --disable-pip-version-check --no-compile --editable .  # Python compiles what it imports, a tenth
 	touch $@
 
 $(VENV)/.installed-tests: pyproject.toml $(wildcard plugins/*/pyproject.toml)

@@ -1,7 +1,8 @@
 """Make the distribution `sppm-kernels`: machine code of all kernels, with which a first run compiles nothing.
 
 Runs every configuration and example at a low resolution, each in a process of its own, and packs the kernels that were
-compiled on the way, for the version of Python that runs this. The same sources and versions give the same bytes, in any
+compiled on the way, and those of the list by which kernels are compiled ahead, for the version of Python that runs
+this. The same sources and versions give the same bytes, in any
 folder. Kernels that ``NUMBA_CACHE_DIR`` holds, if it is set, are taken from there.
 
 Usage: python .ci/kernels.py [FOLDER] [NAME...], after .ci/install, on Linux on x86-64
@@ -18,28 +19,21 @@ import sys
 import sysconfig
 import tempfile
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import digests, kernel_list  # noqa: E402
+from benchmarks import digests  # noqa: E402
 from sppm_pipeline.services.jit import machine_code  # noqa: E402
 
 ENVIRONMENT = {"PYTHONHASHSEED": "0", "SPPM_COMPILE_AHEAD": "off"}
 """Names of symbols count what a process compiled before, so that everything is done in one order, on one thread."""
 
 
-def commands(name: str, scratch: Path) -> Iterator[list[str]]:
-    """What is run of a configuration: as for the list of digests, and as for the list of kernels."""
-    common = ["--threads", "1", "-q", "--no-cache", "--audit", "warn", "-o", str(scratch / "run")]
-    yield [*digests.command(name, scratch), *common]
-    if name in kernel_list.SMALL:
-        params, options = kernel_list.SMALL[name]
-        words = [word for flag, values in (("-p", params), ("-s", options)) for one in values for word in (flag, one)]
-        yield ["run", str(ROOT / f"configs/{name}.yaml"), *words, *common]
+LISTED = "the kernels of the list"
 
 
 def run(name: str) -> None:
@@ -48,6 +42,8 @@ def run(name: str) -> None:
     from numba.np.ufunc import array_exprs
 
     from sppm_pipeline.engine.cli.main import main as sppm
+    from sppm_pipeline.engine.plan.kernels import listed_kernels
+    from sppm_pipeline.services.jit.compiling import compile_kernel
 
     identify = FunctionIdentity.from_function.__func__
     folders = str(ROOT), sysconfig.get_path("purelib"), sysconfig.get_path("stdlib")
@@ -61,10 +57,13 @@ def run(name: str) -> None:
     FunctionIdentity.from_function = classmethod(identified)
     numbers = itertools.count()
     array_exprs.hash = lambda expression: next(numbers)  # names would hold addresses
+    if name == LISTED:
+        for kernel in listed_kernels():
+            compile_kernel(kernel.place, kernel.signatures)
+        return
     with tempfile.TemporaryDirectory() as scratch:
-        for words in commands(name, Path(scratch)):
-            if code := sppm(words):
-                raise SystemExit(code)
+        if code := sppm([*digests.command(name, Path(scratch)), "--threads", "1"]):
+            raise SystemExit(code)
 
 
 def compiled(names: Iterable[str], kernels: str) -> dict[str, bytes]:
@@ -128,7 +127,7 @@ def main() -> None:
 
     folder, *names = sys.argv[1:] or ["dist"]
     with tempfile.TemporaryDirectory() as scratch:
-        code = compiled(names or sorted(digests.SMALL), os.environ.get("NUMBA_CACHE_DIR", scratch))
+        code = compiled(names or [*sorted(digests.SMALL), LISTED], os.environ.get("NUMBA_CACHE_DIR", scratch))
     wheel = packed(Path(folder), code, version("sppm-pipeline"))
     print(f"{wheel}: {len(code)} kernels, {wheel.stat().st_size / 1e6:.2f} MB")
 

@@ -21,5 +21,5 @@ def twin(scan, seed):
     ]
     image = sppm.Voxels.from_array(scan, periodic=True)
     vary = ["sample.dart_throwing.total", "field.gaussian.pore_radius"]
-    match = sppm.tune.match(recipe=recipe, vary=vary, low=[30, 0.02], high=[120, 0.08], seed=seed, **FEW)
-    return match(image).to_numpy(len(scan))
+    match = sppm.tune.match(recipe=recipe, vary=vary, low=[30, 0.02], high=[120, 0.08], **FEW)
+    return match(image, seed=seed).to_numpy(len(scan))

@@ -40,7 +40,7 @@ def sorted_into_buckets(points: F64, period: F64) -> Buckets:
         shape = np.maximum(shape // 2, 1)
     buckets = extent / shape
     order, start = _sort(points, lower, buckets, shape)
-    return Buckets(points, order, start, shape, lower, buckets, period)
+    return Buckets(points, order, start, shape, lower, buckets, period.copy())  # writable: kernels are compiled once
 
 
 @jit

@@ -167,9 +167,13 @@ def kruskal(n: int, edges: Indices, order: I64) -> I64:
     return taken[:count]
 
 
-@jit
 def component_labels(n: int, edges: Indices) -> I64:
     """Component of every vertex, (n,) int64, numbered 0, 1, ... in the order of their lowest vertex."""
+    return _component_labels(n, np.array(edges, np.int64))
+
+
+@jit
+def _component_labels(n: int, edges: I64) -> I64:
     parent = np.arange(n)
     for e in range(edges.shape[0]):
         unite(parent, edges[e, 0], edges[e, 1])

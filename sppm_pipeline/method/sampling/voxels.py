@@ -181,7 +181,7 @@ def halved(
     room = 2 * voxels.number + 64
     places, first, points = np.empty((room, 3), np.int64), np.zeros(room + 1, np.int64), np.empty(4 * room, np.int64)
     begin = np.zeros(len(voxels.begin), np.int64)
-    count = 0
+    count = int(np.int64(0))  # a constant would be another type, for which what is called is compiled once more
     for root in range(len(begin) - 1):
         for row in range(voxels.begin[root], voxels.begin[root + 1]):
             found = 0

@@ -62,7 +62,8 @@ class Kernel:
         functools.update_wrapper(self, function)
         self.py_func: Any = function
         self._fastmath = fastmath
-        self._dispatcher: Any = None
+        self._dispatcher: Any = None  # for calls from Python
+        self._inner: Any = None  # for calls from other kernels
         self._ready: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
     def __call__(self, *args: Any, **named: Any) -> Any:
@@ -110,8 +111,14 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Numba asks for this where one kernel calls another."""
-        return self.dispatcher._numba_type_
+        """Numba asks for this where one kernel calls another, and where one is an argument."""
+        if self._inner is None:
+            from sppm_pipeline.services.jit.compiling import inner_dispatcher_of
+
+            with _LOCK:
+                if self._inner is None:
+                    self._inner = inner_dispatcher_of(self.py_func, self._fastmath)
+        return self._inner._numba_type_
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or "_dispatcher" not in self.__dict__:  # being copied, or asked for a protocol

@@ -168,6 +168,8 @@ def _resolve(
 
 def _seen_mesh(vertices: F64, faces: I64, frame: Frame, size: tuple[int, int], smooth: bool, colors: U8) -> Seen:
     width, height = size
+    vertices = vertices.view()
+    vertices.flags.writeable = False  # of some meshes they are: one type, so that kernels are compiled once
     places = projected(frame, vertices)
     nearness = np.full((height, width), -np.inf, np.float32)
     owner = np.full((height, width), -1, np.int32)

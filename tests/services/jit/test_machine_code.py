@@ -414,7 +414,7 @@ def test_a_kernel_still_is_a_function_that_can_be_looked_at():
     assert scaled.py_func(3) == 6
     assert scaled(np.ones(2)).tolist() == [2, 2]
     assert scaled(np.ones(2), factor=3.0).tolist() == [3, 3]
-    assert numba.typeof(scaled).dispatcher is scaled.dispatcher
+    assert numba.typeof(scaled).dispatcher.py_func is scaled.py_func
     assert len(scaled.signatures) == 2
 
 
