@@ -5,6 +5,7 @@ import bz2
 import contextlib
 import gzip
 import io
+import json
 import sys
 import tracemalloc
 import zlib
@@ -18,9 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from sppm_pipeline import Voxels
 from sppm_pipeline.errors import InputError, ResourceError
-from sppm_pipeline.services.formats import image_stack, nrrd, vti
+from sppm_pipeline.features.files.stages.write_voxels import WriteVoxels
+from sppm_pipeline.services.formats import image_stack, nrrd, vti, zarr_store
 from sppm_pipeline.services.formats.voxel_files import decode_npy, encode_npy
+from sppm_pipeline.testing.plain_context import PlainContext
 
 IMAGE = np.random.default_rng(0).integers(0, 3, (3, 4, 5)).astype(np.uint8)
 GRAY = np.random.default_rng(1).random((4, 3, 2)).astype(np.float32)
@@ -454,3 +458,50 @@ def test_mutated_vti_are_images_or_errors(at, byte, form):
     data[at % len(data)] = byte
     with contextlib.suppress(InputError):
         vti.decode(bytes(data), "a.vti")
+
+
+def read_zarr(folder, name):
+    """By the format's own words: blocks of an array and its attributes."""
+    about = json.loads((folder / name / "zarr.json").read_text())
+    assert json.loads((folder / "zarr.json").read_text())["consolidated_metadata"]["metadata"][name] == about
+    block = about["chunk_grid"]["configuration"]["chunk_shape"]
+    values = np.empty([-(-n // b) * b for n, b in zip(about["shape"], block, strict=True)], about["data_type"])
+    for place in np.ndindex(*(n // b for n, b in zip(values.shape, block, strict=True))):
+        data = gzip.decompress((folder / name / "c" / "/".join(map(str, place))).read_bytes())
+        part = np.frombuffer(data, f"<{values.dtype.str[1:]}").reshape(block)
+        values[tuple(slice(i * b, (i + 1) * b) for i, b in zip(place, block, strict=True))] = part
+    return values[tuple(map(slice, about["shape"]))], about
+
+
+@pytest.mark.parametrize("values", [IMAGE, GRAY, np.random.default_rng(4).integers(0, 2, (70, 64, 3)).astype(np.uint8)])
+def test_zarr_round_trip_and_another_reader(values, tmp_path):
+    def write(folder):
+        for name, data in zarr_store.encode(np.asfortranarray(values), (0.05, 0.04, 0.125), "mm", "phase", {"a": 1}):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+        return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+    assert write(tmp_path / "a") == write(tmp_path / "b")
+    found, about = read_zarr(tmp_path / "a", "phase")
+    assert (found == values).all()
+    assert about["attributes"] == {"a": 1, "spacing": [0.05, 0.04, 0.125], "spacing_unit": "mm"}
+    assert about["dimension_names"] == ["x", "y", "z"]
+    z, about = read_zarr(tmp_path / "a", "z")
+    assert z == pytest.approx(0.125 * (np.arange(values.shape[2]) + 0.5))
+    assert about["attributes"]["units"] == "mm"
+    pytest.importorskip("zarr")
+    opened = pytest.importorskip("xarray").open_zarr(tmp_path / "a")
+    assert (opened["phase"].to_numpy() == values).all()
+    assert opened["phase"].dims == ("x", "y", "z")
+    assert opened["x"].attrs["units"] == "mm"
+    assert opened["phase"].sel(x=0.06, method="nearest").to_numpy().tolist() == values[1].tolist()
+
+
+@pytest.mark.parametrize("fractions", [False, True])
+def test_a_stage_writes_a_zarr_folder(tmp_path, fractions):
+    context = PlainContext(directory=tmp_path)
+    values = GRAY if fractions else IMAGE
+    WriteVoxels(path="cell.zarr").run(context, Voxels(values, (1.0, 2.0, 3.0), True, (True,) * 3))
+    found, about = read_zarr(tmp_path / "cell.zarr", "fraction" if fractions else "phase")
+    assert (found == values).all()
+    assert about["attributes"]["spacing"] == [1, 2, 3]
