@@ -52,7 +52,7 @@ def dispatcher_of(function: Callable[..., Any], fastmath: set[str] | bool) -> An
 def inner_dispatcher_of(function: Callable[..., Any], fastmath: set[str] | bool) -> Any:
     """The same for calls from compiled code, which becomes part of its callers.
 
-    What only Python could call, and files that only other processes could read, take a seventh of the time of compiling.
+    What only Python could call, and files for other processes, take an eighth of the time of compiling.
     """
     return _compiled(function, fastmath, no_cpython_wrapper=True)
 

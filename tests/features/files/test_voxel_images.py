@@ -473,15 +473,19 @@ def read_zarr(folder, name):
     return values[tuple(map(slice, about["shape"]))], about
 
 
-@pytest.mark.parametrize("values", [IMAGE, GRAY, np.random.default_rng(4).integers(0, 2, (70, 64, 3)).astype(np.uint8)])
-def test_zarr_round_trip_and_another_reader(values, tmp_path):
-    def write(folder):
-        for name, data in zarr_store.encode(np.asfortranarray(values), (0.05, 0.04, 0.125), "mm", "phase", {"a": 1}):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(data)
-        return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+def write_zarr(folder, values):
+    for name, data in zarr_store.encode(np.asfortranarray(values), (0.05, 0.04, 0.125), "mm", "phase", {"a": 1}):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
-    assert write(tmp_path / "a") == write(tmp_path / "b")
+
+BLOCKS = np.random.default_rng(4).integers(0, 2, (70, 64, 3)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("values", [IMAGE, GRAY, BLOCKS])
+def test_zarr_round_trip(values, tmp_path):
+    assert write_zarr(tmp_path / "a", values) == write_zarr(tmp_path / "b", values)
     found, about = read_zarr(tmp_path / "a", "phase")
     assert (found == values).all()
     assert about["attributes"] == {"a": 1, "spacing": [0.05, 0.04, 0.125], "spacing_unit": "mm"}
@@ -489,12 +493,16 @@ def test_zarr_round_trip_and_another_reader(values, tmp_path):
     z, about = read_zarr(tmp_path / "a", "z")
     assert z == pytest.approx(0.125 * (np.arange(values.shape[2]) + 0.5))
     assert about["attributes"]["units"] == "mm"
+
+
+def test_xarray_opens_a_zarr_store(tmp_path):
     pytest.importorskip("zarr")
+    write_zarr(tmp_path / "a", BLOCKS)
     opened = pytest.importorskip("xarray").open_zarr(tmp_path / "a")
-    assert (opened["phase"].to_numpy() == values).all()
+    assert (opened["phase"].to_numpy() == BLOCKS).all()
     assert opened["phase"].dims == ("x", "y", "z")
     assert opened["x"].attrs["units"] == "mm"
-    assert opened["phase"].sel(x=0.06, method="nearest").to_numpy().tolist() == values[1].tolist()
+    assert opened["phase"].sel(x=0.06, method="nearest").to_numpy().tolist() == BLOCKS[1].tolist()
 
 
 @pytest.mark.parametrize("fractions", [False, True])
