@@ -30,7 +30,8 @@ def encode(
 
     `spacing` is the edges of a voxel in `unit`, which may be None; `attributes` are those of the array.
     """
-    arrays = {name: (values, ("x", "y", "z"), {**attributes, "spacing": list(spacing), "spacing_unit": unit or "1"})}
+    about = {**attributes, "spacing": list(spacing), "spacing_unit": unit or "1"}
+    arrays: dict[str, tuple[NDArray[Any], tuple[str, ...], dict[str, Any]]] = {name: (values, ("x", "y", "z"), about)}
     for axis, n, edge in zip("xyz", values.shape, spacing, strict=True):
         arrays[axis] = (edge * (np.arange(n) + 0.5), (axis,), {"units": unit or "1", "long_name": "centers of voxels"})
     known = {key: _metadata(*array) for key, array in arrays.items()}
