@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: quickstart test test-oldest docs paper lock clean
+.PHONY: quickstart test coverage test-oldest docs paper lock clean
 
 quickstart: $(VENV)/.installed  ## set up and run the main job; results are in runs/quickstart
 	@echo "== running configs/quickstart.yaml; the first run compiles for half a minute"
@@ -18,6 +18,16 @@ test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 	@$(BIN)/mypy >$(VENV)/types.txt 2>&1 & types=$$!; \
 	$(BIN)/python -m pytest -n auto --dist loadfile; tests=$$?; \
 	wait $$types; types=$$?; cat $(VENV)/types.txt; test $$tests -eq 0 -a $$types -eq 0
+
+coverage: $(VENV)/.installed-tests  ## the share of lines that tests reach; TESTS="tests/method tests/engine" for some
+	$(BIN)/pip install --quiet "coverage>=7.10"
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -n auto --dist loadfile $(TESTS)
+	$(BIN)/coverage combine --quiet
+	mkdir -p build
+	$(BIN)/coverage json --quiet -o build/coverage.json
+	$(BIN)/coverage report --sort=cover --skip-covered > build/coverage.txt
+	$(BIN)/python .ci/badge.py build/coverage.json build/coverage.svg
 
 test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows; in an environment of its own
 	$(PYTHON) -m venv $(VENV)-oldest

@@ -16,6 +16,7 @@ _LINK = re.compile(r"(?P<picture>!?)\[(?P<text>(?:[^\[\]]|\[[^\]]*\])*)\]\((?P<t
 _MARKED = re.compile(
     r"(?P<begin>(?:<!-- |# )\[(?P<name>\w+)\](?: -->)?\n)(?P<text>.*?)(?P<end>(?:<!-- |# )\[/(?P=name)\])", re.DOTALL
 )
+_RECIPE = (".ci/conda/recipe.yaml", 'version: "{}"\n')
 MARKED = (
     "SECURITY.md",
     "CODE_OF_CONDUCT.md",
@@ -116,7 +117,11 @@ def problems(root: Path = ROOT, tag: str | None = None) -> list[str]:
     for path, text in written(root, known):
         if path.read_text(encoding="utf-8") != text:
             found.append(f"{path.relative_to(root)} is stale: run python .ci/release.py --write")
-    for name, pattern in (("sppm_pipeline/__init__.py", '__version__ = "{}"'), ("CITATION.cff", "version: {}\n")):
+    for name, pattern in (
+        ("sppm_pipeline/__init__.py", '__version__ = "{}"'),
+        ("CITATION.cff", "version: {}\n"),
+        _RECIPE,
+    ):
         if pattern.format(version) not in (root / name).read_text(encoding="utf-8"):
             found.append(f"{name} names another version than {version}")
     heading = re.search(
