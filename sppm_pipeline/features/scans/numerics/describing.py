@@ -9,7 +9,7 @@ import numpy as np
 
 from sppm_pipeline.features.scans.numerics import statistics as st
 from sppm_pipeline.numerics import find_components, paint_runs
-from sppm_pipeline.services.arrays import F64, Bools
+from sppm_pipeline.services.arrays import F64, I64, Bools
 from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness, painted_balls, squared_distance
 
 MAX_BALLS = 128
@@ -122,8 +122,9 @@ class Described(NamedTuple):
 def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, distances: int, parts: int) -> Described:
     """Describe an image (x, y, z); with `parts` of 1 there are no error bars."""
     blocks = st.blocks_of(solid.shape, parts) if parts > 1 else []
-    own = [_numbers(solid[block], spacing, False) for block in blocks]
-    numbers = _numbers(solid, spacing, wraps)
+    own = [_numbers(solid[block], st.configurations(solid[block], False), spacing) for block in blocks]
+    patterns = st.configurations(solid, wraps)
+    numbers = _numbers(solid, patterns, spacing)
     bars = {name: (value, _error([one[name] for one in own])) for name, value in numbers.items()}
     phases = {}
     at, both, rest = st.radial_pairs(solid, distances, wraps)
@@ -139,13 +140,11 @@ def described(solid: Bools, spacing: tuple[float, float, float], wraps: bool, di
             float(np.nanmean(whole.mean_chords)) if np.isfinite(whole.mean_chords).any() else math.nan,
             _error([np.nanmean(p.mean_chords) for p in pieces if np.isfinite(p.mean_chords).any()]),
         )
-    return Described(
-        bars, phases, {"solid": (at, both), "void": (at, rest)}, st.fabric(st.configurations(solid, wraps), spacing)
-    )
+    return Described(bars, phases, {"solid": (at, both), "void": (at, rest)}, st.fabric(patterns, spacing))
 
 
-def _numbers(solid: Bools, spacing: tuple[float, float, float], wraps: bool) -> dict[str, float]:
-    numbers = st.minkowski(st.configurations(solid, wraps), spacing)
+def _numbers(solid: Bools, patterns: I64, spacing: tuple[float, float, float]) -> dict[str, float]:
+    numbers = st.minkowski(patterns, spacing)
     return {"porosity": 1 - float(solid.mean()), **numbers._asdict()}
 
 

@@ -7,8 +7,9 @@ of points over their distance, so that curves along the axes take no longer than
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import pairwise, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -133,6 +134,10 @@ def radial_pairs(phase: Bools, distances: int, wraps: bool) -> tuple[F64, F64, F
     pairs = irfftn(spectrum, shape, overwrite_x=True)
     del spectrum
     offsets = [np.r_[0 : r + 1, -r:0] for r in reach]
+    ends = _ends(phase, offsets, wraps)
+    ends = (ends + ends[np.ix_(*(-at % len(at) for at in offsets))])[: reach[0] + 1]
+    # a step and the way back are one pair: half of all offsets will do
+    offsets[0] = offsets[0][: reach[0] + 1]
     near = pairs[np.ix_(*offsets)]
     sizes = zip(offsets, phase.shape, strict=True)
     places = [np.full(len(at), n, float) if wraps else n - np.abs(at) for at, n in sizes]
@@ -143,11 +148,11 @@ def radial_pairs(phase: Bools, distances: int, wraps: bool) -> tuple[F64, F64, F
     # shares of two shells, so that the curve has no steps
     shell = np.floor(length).astype(np.int64)
     inside = shell < distances
-    ends = _ends(phase, offsets, wraps)
-    rest = 1 + probability - (ends + ends[np.ix_(*(-at % len(at) for at in offsets))]) / count
+    rest = 1 + probability - ends / count
     number, share = shell[inside], (length - shell)[inside]
+    twice = np.broadcast_to(np.where(offsets[0] > 0, 2.0, 1.0)[:, None, None], shell.shape)[inside]
     sums = np.zeros((4, distances + 1))
-    for add, part in ((0, 1 - share), (1, share)):
+    for add, part in ((0, twice * (1 - share)), (1, twice * share)):
         for row, value in enumerate((1.0, length[inside], probability[inside], rest[inside])):
             sums[row] += np.bincount(number + add, part * value, distances + 1)
     _, at, own, other = sums / np.maximum(sums[0], 1e-300)
@@ -158,10 +163,17 @@ def _ends(phase: Bools, offsets: list[I64], wraps: bool) -> F64:
     """Voxels of the phase from which a step by each offset ends in the image."""
     if wraps:
         return np.full([len(at) for at in offsets], float(np.count_nonzero(phase)))
-    sums = np.pad(phase.astype(np.int32), ((1, 0),) * 3)
-    for axis in range(3):
-        np.cumsum(sums, axis, out=sums)
     ends = [(np.maximum(0, -at), n - np.maximum(0, at)) for at, n in zip(offsets, phase.shape, strict=True)]
+    sums: Any = phase.T
+    for axis, pair in enumerate(ends):  # sums up to the ends of steps alone
+        used, places = np.unique(np.concatenate(pair), return_inverse=True)
+        layers = np.moveaxis(sums, 2 - axis, 0)
+        below = np.zeros((len(used), *layers.shape[1:]), np.int32)
+        for number, (low, high) in enumerate(pairwise([0, *used.tolist()])):
+            below[number] = below[number - 1] + layers[low:high].sum(axis=0, dtype=np.int32)
+        sums = np.moveaxis(below, 0, 2 - axis)
+        ends[axis] = (places[: len(pair[0])], places[len(pair[0]) :])
+    sums = sums.T
     found = np.zeros([len(at) for at in offsets])
     for at in np.ndindex(2, 2, 2):
         found += (1 if sum(at) % 2 else -1) * sums[np.ix_(*(end[i] for end, i in zip(ends, at, strict=True)))]
@@ -242,6 +254,7 @@ def crossing_rates(counts: I64, spacing: tuple[float, float, float]) -> F64:
     return np.array(rates)
 
 
+@cache
 def _weights(spacing: tuple[float, float, float]) -> F64:
     """Share of the sphere that is nearest to each of the thirteen directions, counted on 20000 points."""
     k = np.arange(20000) + 0.5
@@ -286,7 +299,9 @@ def entry_sizes(squared: I32) -> I32:
     taken from the widest place down and joined to their neighbors until they meet the sides.
     """
     flat = squared.ravel()
-    order = np.argsort(-flat, kind="stable")
+    # short numbers are sorted by their digits
+    falling = -flat if flat.max(initial=0) > 65535 else (65535 - flat).astype(np.uint16)
+    order = np.argsort(falling, kind="stable")
     order = order[: int(np.count_nonzero(flat))]
     out = np.zeros(flat.size, np.int32)
     _flood(order, flat, squared.shape[0], squared.shape[1], squared.shape[2], out)
