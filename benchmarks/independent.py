@@ -4,9 +4,10 @@
 
 The same images of whole voxels go to each code that is installed (`pip install muGrid scikit-fem porespy`): muGrid
 (FFT, stiffness), scikit-fem (an assembled matrix and a direct solver, stiffness and conductivity), CalculiX (`ccx`, the
-same bricks, stiffness), PoreSpy (porosity, local thickness of the void). Images are cells of the presets `paper` and
-`stiff`, VOXELS (16) along an edge. The largest differences are printed. `tests/features/flow/test_write_network.py`
-compares the flow of a network with OpenPNM where that is installed.
+same bricks, stiffness), PoreSpy (porosity, local thickness of the void, pores and throats of a network; 32 voxels or
+more have some). Images are cells of the presets `paper` and `stiff`, VOXELS (16) along an edge. The largest differences
+are printed. `tests/features/flow/test_write_network.py` compares the flow of a network with OpenPNM where that is
+installed.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 import sppm_pipeline as sppm
 from sppm_pipeline.features.flow.numerics.conduction import conductivity
+from sppm_pipeline.features.flow.numerics.regions import regions_of
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
 from sppm_pipeline.services.elastic.voigt import lame
 from sppm_pipeline.services.local_thickness import local_thickness
@@ -47,10 +49,13 @@ def ours(solid: NDArray[np.bool_]) -> Values:
     """Stiffness, conductivity, porosity and thickness by this program; images are (nz, ny, nx)."""
     exact = {"residual": 1e-9, "tolerance": 0.0, "precision": np.float64}
     thick = local_thickness(~solid)
+    network = regions_of(~solid, (1.0, 1.0, 1.0))
+    pores = int(np.count_nonzero(network.volume))
     return {
         **named("C", np.diag(stiffness(LAM * solid, MU * solid, **exact).stiffness)),
         **named("k", np.diag(conductivity(1.0 * solid, **exact).conductivity)),
         "porosity": 1 - float(solid.mean()), "thickness": float(thick[~solid].mean()),
+        "pores": float(pores), "throat": 2 * float(network.throat[network.conns[:, 1] < pores].mean()),
     }  # fmt: skip
 
 
@@ -185,14 +190,21 @@ def largest_piece(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def by_porespy(solid: NDArray[np.bool_]) -> Values:
-    """Porosity, and mean local thickness of the void, which repeats; radii there end at centers of solid voxels."""
+    """Porosity, mean local thickness of the void, which repeats; pores and mean throat of the network of SNOW.
+
+    Radii there end at centers of solid voxels.
+    """
     import porespy
 
     n = len(solid)
     void = np.tile(~solid, (3, 3, 3))  # its spheres see no other side
     thick = 2 * porespy.filters.local_thickness(void, method="dt")
     middle = thick[n : 2 * n, n : 2 * n, n : 2 * n]
-    return {"porosity": porespy.metrics.porosity(~solid), "thickness": float(middle[~solid].mean())}
+    network = porespy.networks.snow2(~solid, boundary_width=0).network
+    return {
+        "porosity": porespy.metrics.porosity(~solid), "thickness": float(middle[~solid].mean()),
+        "pores": float(len(network["pore.coords"])), "throat": float(network["throat.inscribed_diameter"].mean()),
+    }  # fmt: skip
 
 
 CODES: tuple[tuple[str, str, Callable[[NDArray[np.bool_]], Values]], ...] = (

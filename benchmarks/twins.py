@@ -3,10 +3,11 @@
     python -m benchmarks.twins FILE.csv [--draws N] [--pictures FOLDER] [SCAN[@THRESHOLD] ...]
 
 SCAN is a gray image, .npy or .npz with one array (x, y, z); Otsu's threshold is taken if none is given. Two images are
-made here: a foam of overlapping balls and a cell of this program, both blurred and with noise. Each image is read at 40
-to 50 voxels along an edge. The recipe has pores of two sizes of kernels: their number, the radii of pores and tunnels
-and the degree of the graph are varied, DRAWS (2) structures for each. `wanted` is the goal of the row; stiffness and
-permeability are not matched, but for the porosity all other numbers are means of what the statistics say of the twin.
+made here: a foam of overlapping balls and a cell of this program, both blurred and with noise. Of larger scans the
+middle 72 voxels along each edge are taken; the cell of the twin has 48. The number of pores and the radii of pores and
+tunnels are varied, DRAWS structures for each trial; of the structure of ours, for which "own" stands, the number
+alone, and again with the radius of the tunnels. `wanted` is the goal of the row. Stiffness and permeability are not
+matched.
 """
 
 from __future__ import annotations
@@ -33,10 +34,13 @@ from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 OWN = {"sample.dart_throwing.total": 80.0, "field.gaussian.tunnel_radius": 0.03}
 """Options of the own structure, which the twin should find again."""
 
+N, LARGEST = 48, 72
+"""Voxels along the cell of a twin, which is 1 mm long, and those of a scan."""
+
 VARIED = {
-    "sample.dart_throwing.total": (20.0, 240.0),
-    "field.gaussian.tunnel_radius": (0.012, 0.06),
-    "field.gaussian.pore_radius": (0.012, 0.08),
+    "sample.dart_throwing.total": (20.0, 600.0),
+    "field.gaussian.tunnel_radius": (0.008, 0.06),
+    "field.gaussian.pore_radius": (0.008, 0.08),
 }
 WANTED = {"porosity": 0.001, "S2": 0.02, "chords": 0.05, "thickness": 0.05, "permeability": 0.15, "stiffness": 0.1}
 
@@ -44,7 +48,7 @@ WANTED = {"porosity": 0.001, "S2": 0.02, "chords": 0.05, "thickness": 0.05, "per
 def recipe(total: int = 100, tunnel: float = 0.03, pore: float = 0.03) -> Any:
     """Pores, tunnels and their field."""
     return recipe_of(
-        DartThrowing(total=total),
+        DartThrowing(total=total, edge=Length(1.0, "mm")),
         BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
         GaussianField(pore_radius=Length(pore), tunnel_radius=Length(tunnel)),
     )
@@ -57,7 +61,7 @@ def as_scanned(solid: NDArray[np.bool_], seed: int) -> NDArray[np.float32]:
     return np.asarray(gaussian_filter(gray, 0.5, mode="wrap"), np.float32)
 
 
-def foam(n: int = 48, seed: int = 3) -> NDArray[np.float32]:
+def foam(n: int = N, seed: int = 3) -> NDArray[np.float32]:
     """Solid between 60 overlapping balls of a tenth of the edge and more, which repeat."""
     rng = np.random.default_rng(seed)
     centers, radii = rng.random((60, 3)), 0.12 * (1 + 0.25 * rng.random(60))
@@ -69,7 +73,7 @@ def foam(n: int = 48, seed: int = 3) -> NDArray[np.float32]:
     return as_scanned(solid, seed)
 
 
-def own(n: int = 48) -> NDArray[np.float32]:
+def own(n: int = N) -> NDArray[np.float32]:
     """A cell of this program of another seed, 60 % void."""
     total, tunnel = OWN.values()
     values = recipe(int(total), tunnel).run(PlainContext(77)).sample(n)
@@ -77,24 +81,23 @@ def own(n: int = 48) -> NDArray[np.float32]:
 
 
 def read(path: str) -> tuple[NDArray[np.float32], float]:
-    """Gray values of a scan, in blocks until there are at most 50 along an edge, and their threshold."""
+    """Gray values of the middle of a scan, and their threshold."""
     name, _, level = path.partition("@")
     with open(name, "rb") as file:
         given = np.load(file)
         image = np.asarray(given if isinstance(given, np.ndarray) else given[given.files[0]], np.float32)
-    while max(image.shape) > 50:
-        nx, ny, nz = (n // 2 for n in image.shape)
-        image = image[: 2 * nx, : 2 * ny, : 2 * nz].reshape(nx, 2, ny, 2, nz, 2).mean((1, 3, 5))
+    image = image[tuple(slice(max(0, (n - LARGEST) // 2), (n + LARGEST) // 2) for n in image.shape)]
     return image, float(level) if level else otsu(image)
 
 
 def scans(paths: list[str]) -> list[tuple[str, int, ScalarField]]:
     """All scans as fields."""
-    found = [("own structure", own(), 0.5, True), ("foam of overlapping balls", foam(), 0.5, True)]
+    found = [(name, own(), 0.5, True) for name in ("own, number", "own, number and radius")]
+    found += [("foam of overlapping balls", foam(), 0.5, True)]
     found += [(Path(path.partition("@")[0]).stem, *read(path), False) for path in paths]
     return [
         (name, min(gray.shape), ImageField.through(
-            np.asfortranarray(np.float32(level) - gray), (1 / min(gray.shape),) * 3, physical=False, periodic=repeats,
+            np.asfortranarray(np.float32(level) - gray), (1 / N,) * 3, physical=True, periodic=repeats,
         )) for name, gray, level, repeats in found
     ]  # fmt: skip
 
@@ -105,7 +108,8 @@ def rows(
     """The twin, and a row for each number."""
     context = PlainContext(1)
     # the level that meets the porosity makes up for radii that are all larger: of a structure of ours one is known
-    varied = {option: ends for option, ends in VARIED.items() if name != "own structure" or option in OWN}
+    ours = list(OWN)[: 1 + name.endswith("radius")] if name.startswith("own") else list(VARIED)
+    varied = {option: VARIED[option] for option in ours}
     twin = TuneMatch(
         vary=tuple(varied), low=tuple(a for a, _ in varied.values()), high=tuple(b for _, b in varied.values()),
         starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n,
@@ -126,7 +130,7 @@ def rows(
             "met": value is not None and abs(value) <= wanted,
         })  # fmt: skip
     for option, value in zip(varied, found["values"], strict=True):
-        truth = OWN.get(option) if name == "own structure" else None
+        truth = OWN.get(option) if name.startswith("own") else None
         made.append({
             "scan": name, "quantity": option, "difference": value if truth is None else value / truth - 1,
             "error": "", "wanted": "" if truth is None else 0.05,

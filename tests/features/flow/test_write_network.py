@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.flow.numerics.regions import parted, regions_of
 from sppm_pipeline.features.flow.stages.write_network import WriteNetwork, cut_at_faces, measured, permeability
 from sppm_pipeline.method.fields.microstructure import Microstructure, pieces_from_graph
 from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.testing.contracts import StageContract
@@ -202,3 +204,79 @@ def test_openpnm_opens_it(kind, tmp_path):
     flow.run()
     rate = float(flow.rate(pores=network.pores("xmin"))[0])
     assert rate * 1e-3 / 4e-3 == pytest.approx(context.reported["network_k_m2"][0][0], rel=1e-6)
+
+
+def rooms(n=40):
+    """Three round rooms in a row, joined by two round channels, of which the outer ones lead to the sides."""
+    x, y, z = (np.indices((n, n, n)) + 0.5) / n
+    from_axis = np.hypot(y - 0.5, z - 0.5)
+    void = from_axis < 0.07
+    for center in (0.2, 0.5, 0.8):
+        void |= np.hypot(x - center, from_axis) < 0.13
+    return void
+
+
+def blob(n=56):
+    from scipy.ndimage import gaussian_filter
+
+    values = gaussian_filter(np.random.default_rng(1).random((n, n, n)), 3.5)
+    return values > np.median(values)
+
+
+def test_rooms_of_an_image_are_pores_and_channels_are_throats(tmp_path):
+    void = rooms()
+    image = Voxels.from_array(~void, spacing=0.1)
+    found, context = written(image, tmp_path)
+    assert context.reported["pores"] == 5  # and two openings
+    assert found["pore.volume"].sum() == pytest.approx(1e-12 * np.count_nonzero(void), rel=1e-9)
+    assert found["pore.xmin"].sum() == found["pore.xmax"].sum() == 1
+    assert not found["pore.ymin"].any()
+    rooms_at = np.sort(found["pore.coords"][found["pore.volume"] > 0][:, 0])
+    assert rooms_at == pytest.approx([0.8e-3, 2e-3, 3.2e-3], abs=1e-4)
+    assert found["throat.conns"].shape == (4, 2)
+    # distances are those to centers of voxels, of which these channels have less than six
+    diameter = found["throat.inscribed_diameter"]
+    assert diameter == pytest.approx(np.full(4, 2 * 0.07 * 4e-3), rel=0.26)
+    # between channels as wide as the throats all along, and ones as wide as the rooms
+    k = context.reported["network_k_m2"]
+    tube = np.pi * (diameter.mean() / 2) ** 4 / 8 / (4e-3) ** 2
+    assert tube < k[0][0] < 8 * tube
+    assert not np.any(np.array(k)[1:])
+    turned, _ = written(Voxels.from_array(~void.T, spacing=0.1), tmp_path)
+    assert np.sort(turned["pore.coords"][:, 2]) == pytest.approx(np.sort(found["pore.coords"][:, 0]), abs=1.01e-4)
+
+
+def test_a_round_channel_has_the_flow_of_hagen_and_poiseuille():
+    _, y, z = np.indices((12, 41, 41)) - 20.0
+    found = regions_of(np.hypot(y, z) < 12, (1.0, 1.0, 1.0))
+    assert len(found.size_factor) == 2
+    assert 12 / np.sum(1 / found.size_factor) == pytest.approx(np.pi * 12**4 / 8, rel=0.1)
+
+
+def test_regions_fill_the_void_and_voxels_may_be_long():
+    void = blob()
+    regions, distance = parted(void, (1.0, 1.0, 1.0))
+    assert np.array_equal(regions > 0, distance > 0)
+    assert np.unique(regions).size == regions.max() + 1
+    twice = regions_of(np.repeat(rooms(24), 2, axis=2), (1.0, 1.0, 0.5))
+    assert np.count_nonzero(twice.volume) == 3
+
+
+def test_images_without_a_void_or_a_size_are_refused(tmp_path):
+    for solid, word in ((np.ones((8, 8, 8), bool), "all solid"), (np.zeros((8, 8, 8), bool), "all void")):
+        with pytest.raises(DesignError, match=word):
+            written(Voxels.from_array(solid, spacing=0.1), tmp_path)
+    with pytest.raises(ConfigError, match="no physical size"):
+        written(Voxels.from_array(~rooms(16)), tmp_path)
+
+
+def test_porespy_parts_an_image_likewise():
+    porespy = pytest.importorskip("porespy")
+    void = blob()
+    ours = regions_of(void, (1.0, 1.0, 1.0))
+    theirs = porespy.networks.snow2(void, boundary_width=0).network
+    pores = np.count_nonzero(ours.volume)
+    inner = ours.conns[:, 1] < pores
+    assert pores == pytest.approx(len(theirs["pore.coords"]), rel=0.08)
+    assert np.count_nonzero(inner) == pytest.approx(len(theirs["throat.conns"]), rel=0.1)
+    assert 2 * ours.throat[inner].mean() == pytest.approx(theirs["throat.inscribed_diameter"].mean(), rel=0.05)

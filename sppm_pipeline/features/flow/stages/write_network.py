@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, Headline, Length, Microstructure, Stage, options
+from sppm_pipeline import Context, Headline, Length, Microstructure, ScalarField, Stage, Voxels, options
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.flow.permeability import DARCY
 from sppm_pipeline.formats import extension_of
@@ -206,7 +206,10 @@ def permeability(network: CutNetwork, size_factor: NDArray[np.float64]) -> NDArr
 
 @dataclass(frozen=True, kw_only=True)
 class WriteNetwork(Stage):
-    """Write the pores and throats of a periodic cell in the words of OpenPNM and PoreSpy, all in meters.
+    """Write the pores and throats of a cell or an image in the words of OpenPNM and PoreSpy, all in meters.
+
+    A cell of pores and tunnels has them; the void of an image, such as a scan, or of any other field is parted at
+    its throats by a watershed of the distance to the walls, as by SNOW (Gostick 2017).
 
     A CSV file is opened by `openpnm.io.network_from_csv`; an NPZ file holds the arrays of the dictionary that
     `openpnm.io.network_from_porespy` takes. Throats that leave the cell are cut at its faces, where pores are
@@ -216,6 +219,10 @@ class WriteNetwork(Stage):
     `hydraulic_size_factors` are those of a tube of circular section as wide as these balls, all along it. Void belongs
     to the nearest pore, so that throats have no volume. From the size factors comes the reported permeability, which is
     that of this network; for that of the void itself see `homogenize.permeability`.
+
+    An image is open at its sides, also if it repeats: where a pore meets one, another pore is put. Balls on the way
+    from a pore through the throat to the next one set the size factor; as channels are wider than their balls, the
+    permeability comes out too low: at 0.4 to 0.6 of that of the void on two blobs of half solid.
     """
 
     name: ClassVar[str] = "write.network"
@@ -228,13 +235,17 @@ class WriteNetwork(Stage):
     resolution: int = options.resolution(96, note="of the grid on which radii are measured", minimum=8, maximum=512)
     cell: Length | None = options.cell(None, note="if the cell has none yet, or another one is wanted")
 
-    def run(self, context: Context, source: Microstructure) -> None:
+    def run(self, context: Context, source: ScalarField | Voxels) -> None:
         """Measure pores and throats, write the file and report the permeability."""
-        edge_mm = source.edge_mm if self.cell is None else self.cell.mm()
+        edge_mm = source.edge_mm if isinstance(source, ScalarField) else _longest(source) if source.physical else None
+        edge_mm = edge_mm if self.cell is None else self.cell.mm()
         if edge_mm is None:
             raise ConfigError(
                 "a pore network is written in meters, but the cell has no physical size", hint="say `cell: 5 mm`"
             )
+        if not isinstance(source, Microstructure):
+            self._write_image(context, source, edge_mm)
+            return
         if source.interiors > 1 or max(source.colors) > 1:
             raise DesignError(
                 "a pore network is that of one periodic cell, not of a tile set", hint="take one interior and one color"
@@ -254,8 +265,36 @@ class WriteNetwork(Stage):
             network = network.chosen(is_open)
             sizes = sizes._replace(throat_radius=sizes.throat_radius[is_open], size_factor=sizes.size_factor[is_open])
         k = permeability(network, sizes.size_factor)
-        meters = 1e-3 * edge_mm
-        columns = _columns(network, sizes, meters)
+        self._write(context, network, sizes, k, 1e-3 * edge_mm, int(np.count_nonzero(~is_open)))
+
+    def _write_image(self, context: Context, source: ScalarField | Voxels, edge_mm: float) -> None:
+        """The network of the void of an image, or of a field on its grid."""
+        from sppm_pipeline.features.flow.numerics.regions import permeability_between, regions_of
+
+        if isinstance(source, Voxels):
+            void, spacing = ~source.solid(), np.array(source.spacing) / _longest(source)
+        else:
+            if (coarse := source.coarseness(1 / self.resolution)) is not None:
+                context.warn(coarse)
+            void = source.sample(cell_centers(self.resolution, source.cells), context.threads) >= 0
+            spacing = np.full(3, 1 / self.resolution)
+        if void.all() or not void.any():
+            raise DesignError(f"the image is all {'void' if void.all() else 'solid'}, so there is no pore network")
+        extent = tuple(float(n * h) for n, h in zip(void.shape, spacing, strict=True))
+        found = regions_of(void, tuple(map(float, spacing)))
+        network = CutNetwork(
+            found.coords, np.arange(len(found.coords)), found.conns, np.arange(len(found.conns)),
+            found.coords[found.conns[:, 1]] - found.coords[found.conns[:, 0]],
+        )  # fmt: skip
+        sizes = Measured(found.radius, found.volume, found.throat, found.size_factor)
+        k = np.diag(permeability_between(found, extent))
+        self._write(context, network, sizes, k, 1e-3 * edge_mm, 0, extent)
+
+    def _write(
+        self, context: Context, network: CutNetwork, sizes: Measured, k: NDArray[np.float64], meters: float,
+        closed: int, extent: tuple[float, ...] = (1.0, 1.0, 1.0),
+    ) -> None:  # fmt: skip
+        columns = _columns(network, sizes, meters, extent)
         target = context.output(self.path)
         if extension_of(self.path) == ".npz":
             arrays: dict[str, Any] = dict(columns)
@@ -264,13 +303,19 @@ class WriteNetwork(Stage):
         else:
             target.write_text(_table(columns), encoding="utf-8")
         context.report(
-            pores=len(network.coords), throats=len(network.conns), closed=int(np.count_nonzero(~is_open)),
-            length_unit="m", model="Hagen-Poiseuille flow in the throats of a network", network_k=k.tolist(),
+            pores=len(network.coords), throats=len(network.conns), closed=closed, length_unit="m",
+            model="Hagen-Poiseuille flow in the throats of a network", network_k=k.tolist(),
             network_k_m2=(k * meters**2).tolist(), network_darcy_mean=float(np.trace(k)) / 3 * meters**2 / DARCY,
         )  # fmt: skip
 
 
-def _columns(network: CutNetwork, sizes: Measured, meters: float) -> dict[str, NDArray[np.generic]]:
+def _longest(image: Voxels) -> float:
+    return max(n * h for n, h in zip(image.shape, image.spacing, strict=True))
+
+
+def _columns(
+    network: CutNetwork, sizes: Measured, meters: float, extent: tuple[float, ...]
+) -> dict[str, NDArray[np.generic]]:
     """The arrays of the file, by the names that OpenPNM gives them."""
     length = np.linalg.norm(network.vectors, axis=1)
     # OpenPNM takes the length of a throat without its pores
@@ -278,7 +323,7 @@ def _columns(network: CutNetwork, sizes: Measured, meters: float) -> dict[str, N
     sides = {
         f"pore.{axis}{side}": np.abs(network.coords[:, number] - place) < 1e-9
         for number, axis in enumerate("xyz")
-        for side, place in (("min", 0.0), ("max", 1.0))
+        for side, place in (("min", 0.0), ("max", extent[number]))
     }
     return {
         "pore.coords": network.coords * meters, "pore.inscribed_diameter": 2 * sizes.pore_radius * meters,
