@@ -13,8 +13,8 @@ from PIL import Image
 import sppm_pipeline as sppm
 
 ROOT = Path(__file__).resolve().parents[1]
-FRAMES, SIZE, COLORS, PAUSE_MS = 36, (480, 320), 32, 110
-"""A full turn in four seconds; more frames or colors exceed 2 MB, which the front page should stay below."""
+FRAMES, SIZE, COLORS, PAUSE_MS = 54, (480, 320), 32, 110
+"""A full turn in six seconds; more frames or colors exceed 2 MB, which the front page should stay below."""
 
 
 def main() -> None:
