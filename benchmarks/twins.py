@@ -1,13 +1,15 @@
 """Twins of scans: what `tune.match` finds for each, number by number, as a CSV table.
 
-    python -m benchmarks.twins FILE.csv [--draws N] [--pictures FOLDER] [SCAN[@THRESHOLD] ...]
+    python -m benchmarks.twins FILE.csv [SCAN[@THRESHOLD] ...] [--draws N] [--evaluations N] [--only WORD]
+    python -m benchmarks.twins --page docs/features/scans.md FILE.csv [FILE.csv ...]
 
 SCAN is a gray image, .npy or .npz with one array (x, y, z); Otsu's threshold is taken if none is given. Two images are
 made here: a foam of overlapping balls and a cell of this program, both blurred and with noise. Of larger scans the
 middle 72 voxels along each edge are taken; the cell of the twin has 48. The number of pores and the radii of pores and
 tunnels are varied, DRAWS structures for each trial; of the structure of ours, for which "own" stands, the number
 alone, and again with the radius of the tunnels. `wanted` is the goal of the row. Stiffness and permeability are not
-matched.
+matched. Beside the CSV file, a PNG file has the middle of the structures made here on the left, of their twins on the
+right. With `--page` the table of a page is made of such files.
 """
 
 from __future__ import annotations
@@ -121,22 +123,55 @@ def rows(
         **{f"{kind}, {phase}": found[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")},
         **{kind: found["held_out"][kind] for kind in ("permeability", "stiffness")},
     }
-    bars = found.get("errors", {})
     made = []
     for quantity, value in off.items():
         wanted = WANTED[quantity.split(",")[0]]
         made.append({
-            "scan": name, "quantity": quantity, "difference": value, "error": bars.get(quantity, ""), "wanted": wanted,
+            "scan": name, "quantity": quantity, "difference": value, "wanted": wanted,
             "met": value is not None and abs(value) <= wanted,
         })  # fmt: skip
     for option, value in zip(varied, found["values"], strict=True):
         truth = OWN.get(option) if name.startswith("own") else None
+        off_truth = value if truth is None else value / truth - 1
         made.append({
-            "scan": name, "quantity": option, "difference": value if truth is None else value / truth - 1,
-            "error": "", "wanted": "" if truth is None else 0.05,
-            "met": "" if truth is None else abs(value / truth - 1) <= 0.05,
+            "scan": name, "quantity": option, "difference": off_truth, "wanted": "" if truth is None else 0.05,
+            "met": "" if truth is None else abs(off_truth) <= 0.05,
         })  # fmt: skip
     return twin, made
+
+
+def draw(scan: ScalarField, twin: ScalarField, path: Path) -> None:
+    """Middle sections of a scan and its twin side by side, solid dark."""
+    from PIL import Image
+
+    from sppm_pipeline.services.grid import Grid
+
+    n = 240
+    grid = Grid((0.5 / n, 0.5 / n, 0.5), (1 / n, 1 / n, 1.0), (n, n, 1))
+    parts = [np.where(field.sample(grid)[:, :, 0].T[::-1] < 0, 60, 255).astype(np.uint8) for field in (scan, twin)]
+    between = np.full((n, 12), 160, np.uint8)
+    Image.fromarray(np.concatenate([parts[0], between, parts[1]], axis=1)).save(path)
+
+
+def write_page(page: Path, files: list[Path]) -> None:
+    """Put a table of all files between the marks of a page."""
+    columns: dict[str, dict[str, str]] = {}
+    for path in files:
+        with path.open(encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                quantity = row["quantity"].rpartition(".")[2].replace("_", " ")
+                value = float(row["difference"])
+                percent = f"{100 * value:+.1f} %" if row["wanted"] and quantity != "S2" else f"{value:.3g}"
+                shown = percent if row["met"] != "False" else f"**{percent}**"
+                columns.setdefault(row["scan"], {})[quantity] = shown
+    names = list(dict.fromkeys(name for column in columns.values() for name in column))
+    lines = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    lines += [
+        "| " + " | ".join([name, *(column.get(name, "") for column in columns.values())]) + " |" for name in names
+    ]
+    text, mark = page.read_text(encoding="utf-8"), "<!-- benchmarks.twins -->\n"
+    before, _, after = text.split(mark)
+    page.write_text(f"{before}{mark}" + "\n".join(lines) + f"\n{mark}{after}", encoding="utf-8")
 
 
 def main() -> None:
@@ -146,14 +181,21 @@ def main() -> None:
     parser.add_argument("scans", nargs="*")
     parser.add_argument("--draws", type=int, default=2)
     parser.add_argument("--evaluations", type=int, default=60)
+    parser.add_argument("--page", type=Path, help="a page whose table is made of the files instead")
     parser.add_argument("--only", help="part of the names of the scans that are taken")
     args = parser.parse_args()
+    if args.page:
+        write_page(args.page, [args.file, *map(Path, args.scans)])
+        return
     with args.file.open("w", newline="", encoding="utf-8") as file:
         writer = None
         for name, n, scan in scans(args.scans):
             if args.only and args.only not in name:
                 continue
-            for row in rows(name, scan, n, args.draws, args.evaluations)[1]:
+            twin, found = rows(name, scan, n, args.draws, args.evaluations)
+            if name.startswith(("own", "foam")):
+                draw(scan, twin, args.file.with_name(f"{args.file.stem}-{name.split(',')[0].split()[0]}.png"))
+            for row in found:
                 writer = writer or csv.DictWriter(file, list(row))
                 if file.tell() == 0:
                     writer.writeheader()

@@ -24,8 +24,7 @@ class Regions(NamedTuple):
     radius: NDArray[np.float64]  # of this ball, (n,)
     volume: NDArray[np.float64]  # (n,), 0 of openings
     conns: NDArray[np.int64]  # (t, 2), the lower index first
-    middle: NDArray[np.float64]  # (t, 3): where the ball of a throat is largest
-    throat: NDArray[np.float64]  # its radius, (t,)
+    throat: NDArray[np.float64]  # radius of the largest ball in each, (t,)
     size_factor: NDArray[np.float64]  # flux times viscosity over the drop of pressure, (t,): pi / 8 / integral ds / r^4
 
 
@@ -142,31 +141,6 @@ def regions_of(void: NDArray[np.bool_], spacing: tuple[float, ...]) -> Regions:
         resistance += np.bincount(of, ball**-4.0, len(slices)) * length / slices
     return Regions(
         (nodes + 0.5) * h, np.concatenate([radius, sides[:, 2]]),
-        np.concatenate([number * h.prod(), np.zeros(len(ends))]), conns, (middle + 0.5) * h, throat,
+        np.concatenate([number * h.prod(), np.zeros(len(ends))]), conns, throat,
         np.pi / 8 / resistance,
     )  # fmt: skip
-
-
-def permeability_between(found: Regions, extent: tuple[float, ...]) -> NDArray[np.float64]:
-    """Permeability along x, y, z, (3,), of flows from openings of one side to those of the other one."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.sparse.linalg import spsolve
-
-    n, (a, b), g = len(found.coords), found.conns.T, found.size_factor
-    matrix = coo_array((np.concatenate([g, g]), (np.r_[a, b], np.r_[b, a])), shape=(n, n)).tocsr()
-    k = np.zeros(3)
-    for axis in range(3):
-        place, is_opening = found.coords[:, axis], found.volume == 0
-        low, high = is_opening & (place < 1e-9), is_opening & (place > extent[axis] - 1e-9)
-        piece = connected_components(matrix, directed=False)[1]
-        through = np.isin(piece, np.intersect1d(piece[low], piece[high]))
-        free = through & ~low & ~high
-        if not through.any():
-            continue
-        laplacian = (coo_array((matrix.sum(axis=1), (range(n), range(n))), shape=(n, n)) - matrix).tocsr()
-        pressure = low.astype(float)
-        pressure[free] = spsolve(laplacian[free][:, free].tocsc(), -(laplacian @ pressure)[free])
-        flux = (laplacian @ pressure)[low & through].sum()
-        k[axis] = flux * extent[axis] ** 2 / np.prod(extent)
-    return k

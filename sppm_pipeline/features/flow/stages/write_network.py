@@ -269,7 +269,7 @@ class WriteNetwork(Stage):
 
     def _write_image(self, context: Context, source: ScalarField | Voxels, edge_mm: float) -> None:
         """The network of the void of an image, or of a field on its grid."""
-        from sppm_pipeline.features.flow.numerics.regions import permeability_between, regions_of
+        from sppm_pipeline.features.flow.numerics.regions import regions_of
 
         if isinstance(source, Voxels):
             void, spacing = ~source.solid(), np.array(source.spacing) / _longest(source)
@@ -287,7 +287,12 @@ class WriteNetwork(Stage):
             found.coords[found.conns[:, 1]] - found.coords[found.conns[:, 0]],
         )  # fmt: skip
         sizes = Measured(found.radius, found.volume, found.throat, found.size_factor)
-        k = np.diag(permeability_between(found, extent))
+        k, opening = np.zeros((3, 3)), found.volume == 0
+        for axis in range(3):  # a flow comes in at all openings of a side together, and goes out at those opposite
+            at_side = np.abs(found.coords[:, axis] / extent[axis] - 0.5) > 0.5 - 1e-9
+            joined = np.where(at_side & opening, np.argmax(at_side & opening), network.image_of)
+            k[axis, axis] = permeability(network._replace(image_of=joined), found.size_factor)[axis, axis]
+        k = np.where(k > 1e-12 * k.max(), k, 0) / np.prod(extent)  # without a way through, rounding is left
         self._write(context, network, sizes, k, 1e-3 * edge_mm, 0, extent)
 
     def _write(
