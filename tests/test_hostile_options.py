@@ -189,6 +189,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.goo": ([BOX, "  - {stage: slice.mesh, printer: elegoo_mars_4_dlp, layer: 0.2 mm}"], "", []),
     "write.nanodlp": ([BOX, "  - {stage: slice.mesh, printer: concepts3d_athena_8k, layer: 0.2 mm}"], "", []),
     "write.mesh": ([BOX], "", []),
+    "write.project": ([BOX], "settings: ['body: perimeters = 2']", []),
     "write.volume_mesh": (VOLUME, "", []),
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.features.files.formats.print_project import LISTED, Body, Listed, read_listed, require_ranges
 from sppm_pipeline.features.files.formats.three_mf_model import (
     CORE,
     UNITS_IN_MM,
@@ -45,8 +47,9 @@ _XML = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 _TYPES = _XML + (
     b'<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
     b'<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-    b'<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>\n'
+    b'<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>'
 )
+_OTHER_TYPE = '<Default Extension="{}" ContentType="text/plain"/>'
 _PACKAGE_RELATIONS = _XML + (
     b'<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
     b'<Relationship Id="model" Target="/3D/3dmodel.model" '
@@ -62,13 +65,15 @@ def encode(
     name: str = "mesh",
     metadata: Mapping[str, str] | None = None,
     offsets: NDArray[np.floating] | None = None,
+    beside: Mapping[str, bytes] | None = None,
 ) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) in millimeters and (m, 3), piece by piece, as the core specification requires.
 
     Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes, however many
     `threads` share the packing. `name` is that of the object; `metadata` are ``Title``, ``Description``,
     ``Application`` and other names that the core specification knows. With `offsets`, (k, 3) in mm, the mesh is written
-    once and placed by k components. DesignError if the file would have 4 GiB or more.
+    once and placed by k components. `beside` are texts that are stored with the model, by their paths in the archive:
+    those of a project of PrusaSlicer make the file one. DesignError if the file would have 4 GiB or more.
     """
     mesh = as_written(vertices, faces)
     scale = decimal_scale(mesh.largest)
@@ -85,7 +90,8 @@ def encode(
         )
         yield packed(
             _XML
-            + f'<model unit="millimeter" xml:lang="en-US" xmlns="{CORE}">\n{about}<resources>\n'.encode()
+            + f'<model unit="millimeter" xml:lang="en-US" xmlns="{CORE}"{_PROJECT if beside else ""}>\n'.encode()
+            + f"{_VERSION if beside else ''}{about}<resources>\n".encode()
             + f'<object id="1" type="model" name={quoteattr(name)}><mesh>\n<vertices>\n'.encode()
         )
         yield from in_blocks(len(mesh.points), vertex_block, threads)
@@ -103,10 +109,14 @@ def encode(
     def small(content: bytes) -> Callable[[], Iterator[Packed]]:
         return lambda: iter([packed(content)])
 
+    beside = dict(sorted((beside or {}).items()))
+    others = sorted({posixpath.splitext(path)[1][1:] for path in beside})
+    types = _TYPES + "".join(map(_OTHER_TYPE.format, others)).encode() + b"</Types>\n"
     parts = (
-        ("[Content_Types].xml", small(_TYPES)),
+        ("[Content_Types].xml", small(types)),
         ("_rels/.rels", small(_PACKAGE_RELATIONS)),
-        ("3D/3dmodel.model", model),
+        (_USUAL_MODEL, model),
+        *((path, small(text)) for path, text in beside.items()),
     )
     yield from zipped((path, pieces()) for path, pieces in parts)
 
@@ -119,12 +129,20 @@ def _components(offsets: NDArray[np.floating]) -> bytes:
     return "".join(lines).encode()
 
 
+_PROJECT = ' xmlns:slic3rpe="http://schemas.slic3r.org/3mf/2017/06"'
+_VERSION = '<metadata name="slic3rpe:Version3mf">1</metadata>\n'
 _RELATIONS = "_rels/.rels"
 _USUAL_MODEL = "3D/3dmodel.model"
 _RELATIONSHIP = "http://schemas.openxmlformats.org/package/2006/relationships Relationship"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _SMALL_PART = 2**20
 _MAX_PARTS = 4096
+_LISTED_BYTES = 2**24
+_OF_PROJECT = (
+    "Metadata/Slic3r_PE.config", "Metadata/Slic3r_PE_layer_heights_profile.txt",
+    "Metadata/Prusa_Slicer_layer_config_ranges.xml", "Metadata/Prusa_Slicer_custom_gcode_per_print_z.xml",
+)  # fmt: skip
+# settings for all of a project, and by height; what is painted on triangles is lost with them
 _DEEPEST = 256  # components inside components
 _SOLID = {"model", "surface"}  # objects of other types are supports and modifiers, not the part
 
@@ -137,12 +155,40 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
 def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, str, float, Groups]:
     """Read what a file says is to be built: all items, with their components and transformations, as one mesh.
 
-    Objects that are supports are left out. Returned are the mesh ((n, 3), (m, 3)), its unit (``millimeter``,
-    ``inch``...), that unit in millimeters, and the triangles of each copy of an object that has a name. See
-    `detect.decode_mesh` for what all readers take and raise.
+    Objects that are supports are left out, and of a project of PrusaSlicer parts that only change settings or supports.
+    Returned are the mesh ((n, 3), (m, 3)), its unit (``millimeter``,
+    ``inch``...), that unit in millimeters, and the triangles of each copy of an object, or part of a project, that has
+    a name. See `detect.decode_mesh` for what all readers take and raise.
     """
     require_content(data, name)
-    package = _Package(Archive(data, name), name)
+    return _built(_Package(Archive(data, name), name, solid=True), name)
+
+
+class Project(NamedTuple):
+    """A project of PrusaSlicer with one object: mesh and parts, in mm where it stands on the bed, and its settings."""
+
+    mesh: DecodedMesh
+    object: Listed
+    beside: dict[str, bytes]  # printer, print and filament settings, by their paths in the archive
+
+
+def read_project(data: bytes, name: str) -> Project:
+    """Read a project; InputError if it does not have one object with a mesh and a list of parts, or is broken."""
+    archive = Archive(data, name)
+    package = _Package(archive, name, solid=False)
+    mesh, _, mm, _ = _built(package, name)
+    objects = list(package.listed.values())
+    if len(objects) != 1 or len(package.meshes) != 1 or package.placed != 1:
+        raise InputError(
+            f"{name}: a project is taken over that has one object, once; this file lists {len(objects)} objects and "
+            f"places {package.placed}",
+            hint="save a project of one part in PrusaSlicer",
+        )
+    beside = {part: archive.read(part, _SMALL_PART) for part in _OF_PROJECT if part in archive}
+    return Project((mesh[0] * mm, mesh[1]), objects[0], beside)
+
+
+def _built(package: _Package, name: str) -> tuple[DecodedMesh, str, float, Groups]:
     root = package.root
     model = package.model(root)
     if not model.items:
@@ -151,9 +197,11 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
             hint="put the objects on the plate and save the file again",
         )
     copies: list[tuple[int, Matrix]] = []
+    package.read_listed(root)
     package.count(root, model.items)
     for use in model.items:
         package.collect(root, use, copies)
+    package.placed = len(copies)
     mesh = place(name, package.meshes, copies)
     require_faces(name, mesh[1])
     return mesh, model.unit, UNITS_IN_MM[model.unit], package.groups(copies)
@@ -170,14 +218,17 @@ class _Relations(XmlReader):
 class _Package:
     """The model parts of a file, each read once."""
 
-    def __init__(self, archive: Archive, name: str) -> None:
+    def __init__(self, archive: Archive, name: str, solid: bool) -> None:
         self._archive = archive
         self._name = name
+        self._solid = solid  # parts of a project that are none are left out
+        self.listed: dict[int, Listed] = {}
+        self.placed, self._root = 0, ""
         self._models: dict[str, Model] = {}
         self._sizes: dict[tuple[str, int], tuple[int, int, int] | None] = {}
         self._numbers: dict[tuple[str, int], int] = {}
         self.meshes: list[DecodedMesh] = []
-        self._names: list[str] = []
+        self._groups: list[list[Body]] = []
 
     @property
     def root(self) -> str:
@@ -205,6 +256,15 @@ class _Package:
                 raise InputError(f"{self._name}: {part}: its unit is {model.unit}, that of the file {first.unit}")
             self._models[part] = model
         return self._models[part]
+
+    def read_listed(self, root: str) -> None:
+        """Read which parts the objects of a project have, if it is one."""
+        self._root = root
+        if LISTED in self._archive:
+            known = self.model(root).objects
+            found = read_listed(self._archive.read(LISTED, _LISTED_BYTES), self._name)
+            # an object of components has its parts elsewhere
+            self.listed = {number: entry for number, entry in found.items() if number in known and entry.bodies}
 
     def count(self, part: str, uses: list[Use], depth: int = 0) -> tuple[int, int, int]:
         """Copies of objects, their vertices and triangles; what there are too many of is refused here."""
@@ -243,8 +303,13 @@ class _Package:
             key = (own, use.identifier)
             if key not in self._numbers:
                 self._numbers[key] = len(self.meshes)
-                self.meshes.append(entry.mesh)
-                self._names.append(entry.name)
+                mesh, groups = entry.mesh, [Body(entry.name, "part", {}, 0, len(entry.mesh[1]))]
+                if own == self._root and use.identifier in self.listed and len(mesh[1]):
+                    groups = self.listed[use.identifier].bodies
+                    require_ranges(groups, len(mesh[1]), self._name)
+                    mesh, groups = self._solid_parts(mesh, groups) if self._solid else (mesh, groups)
+                self.meshes.append(mesh)
+                self._groups.append(groups)
             copies.append((self._numbers[key], matrix))
         for component in entry.components:
             self.collect(own, component, copies, matrix)
@@ -253,9 +318,27 @@ class _Package:
         """The triangles of each copy of an object that has a name."""
         named, triangle = GroupLog(), 0
         for which, _ in copies:
-            named.begin("object", [self._names[which].encode()] if self._names[which] else [], triangle)
+            for body in self._groups[which]:
+                named.begin("object", [body.name.encode()] if body.name else [], triangle + body.first)
             triangle += len(self.meshes[which][1])
         return named.groups(triangle)
+
+    def _solid_parts(self, mesh: DecodedMesh, bodies: list[Body]) -> tuple[DecodedMesh, list[Body]]:
+        """The mesh without parts that are no solid, and where in it the others are."""
+        taken = next((body.name for body in bodies if body.kind == "negative"), None)
+        if taken is not None:
+            raise InputError(
+                f"{self._name}: the part {taken!r} is a negative volume, which is to be cut out of the others",
+                hint="cut it out in the slicing program or by `fill.combine`, or remove it there",
+            )
+        kept, first, faces = [], 0, [mesh[1][:0]]
+        for body in bodies:
+            if body.kind == "part":
+                faces.append(mesh[1][body.first : body.last])
+                kept.append(Body(body.name, body.kind, body.settings, first, first + len(faces[-1])))
+                first += len(faces[-1])
+        used, corners = np.unique(np.concatenate(faces), return_inverse=True)
+        return (mesh[0][used], corners.reshape(-1, 3).astype(np.int64)), kept
 
     def _object(self, part: str, use: Use) -> tuple[str, Object]:
         own = part if use.part is None else _normal(use.part)
