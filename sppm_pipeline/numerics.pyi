@@ -74,6 +74,8 @@ from sppm_pipeline.services.multigrid.transfer import shortness as shortness
 from sppm_pipeline.services.multigrid.vectors import dense_product as dense_product
 from sppm_pipeline.services.multigrid.vectors import dot as dot
 from sppm_pipeline.services.multigrid.vectors import weighted as weighted
+from sppm_pipeline.services.outlines import level_lines as level_lines
+from sppm_pipeline.services.outlines import outlines as outlines
 from sppm_pipeline.services.threads import ordered_map as ordered_map
 
 SolverStop = _SolverStop

@@ -184,6 +184,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.residual_periodicity": (TILED, "resolution: 8", []),
     "slice.field": (TILED, "pixel: 0.25", ["  - write.png"]),
     "write.png": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
+    "write.svg": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
+    "write.cli": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
     "slice.plate": ([BOX, "  - {stage: slice.mesh, pixel: 0.25}"], "quantity: [2]", ["  - write.png"]),
     "write.sl1": ([BOX, "  - {stage: slice.mesh, printer: prusa_sl1s, layer: 0.1 mm}"], "", []),
     "write.goo": ([BOX, "  - {stage: slice.mesh, printer: elegoo_mars_4_dlp, layer: 0.2 mm}"], "", []),

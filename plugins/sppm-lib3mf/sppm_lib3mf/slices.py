@@ -28,7 +28,7 @@ class WriteSlices(LayerWriter):
     path: str = option("part.3mf", help="file or folder to write", output=True, suffixes=(".3mf",))
 
     def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
-        from sppm_lib3mf.outlines import outlines
+        from sppm_pipeline.numerics import outlines
 
         rings = outlines(image[::-1] >= 128)
         sizes = np.array([len(rings), *(len(ring) for ring in rings)], np.int32)

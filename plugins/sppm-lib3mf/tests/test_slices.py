@@ -5,10 +5,10 @@ from __future__ import annotations
 import lib3mf
 import numpy as np
 import pytest
-from sppm_lib3mf.outlines import outlines
 from sppm_lib3mf.slices import WriteSlices
 
 from sppm_pipeline import SliceStack
+from sppm_pipeline.numerics import outlines
 from sppm_pipeline.testing.plain_context import PlainContext
 
 
