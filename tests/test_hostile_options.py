@@ -159,6 +159,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "homogenize.acoustics": (REPEATED, "resolution: 6, cell: 5 mm", []),
     "homogenize.tet": (VOLUME, "", []),
     "homogenize.realizations": ([], "recipe: cell, draws: 2, resolution: 6", []),
+    "fill.engrave": (
+        [BOX, *TILED, "  - {stage: fill.implicit, skin: 0.3 mm}"],
+        "text: '7', middle: [0 mm, 0 mm, 3 mm], letter_height: 1 mm", []),
     "check.mesh": ([BOX], "", []),
     "check.print": ([*TILED, "  - {stage: slice.field, pixel: 0.5}"], "", []),
     "check.sizes": (TILED, "resolution: 8", []),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,14 +21,12 @@ class ContourWriter(LayerWriter):
     """Base of writers of contours: implement `encode_contours`.
 
     Contours run along the sides of the pixels, so that they hold exactly the area of these; gray pixels are solid from
-    128. With `smooth` they run through the gray values of the layers (`gray` of the slicing stage) instead, where half
-    of a pixel would be covered, by linear interpolation between the middles of pixels. Where pixels meet at a corner
-    only, exact contours keep them apart.
+    128. With `through_grays` they run through the gray values of the layers (`gray` of the slicing stage) instead,
+    where half of a pixel would be covered, by linear interpolation between the middles of pixels. Where pixels meet at
+    a corner only, exact contours keep them apart.
     """
 
-    maps: ClassVar[bool] = True
-
-    smooth: bool = option(
+    through_grays: bool = option(
         False, help="contours through the grays of the layers instead of along the sides of pixels; needs `gray`"
     )
 
@@ -42,10 +39,10 @@ class ContourWriter(LayerWriter):
 
     def run(self, context: Context, stack: SliceStack) -> None:
         """Write all layers, unless smooth contours are asked for and there are no grays."""
-        if self.smooth and not stack.gray:
+        if self.through_grays and not stack.gray:
             raise ConfigError(
                 "smooth contours follow the grays of layers, and these are black and white",
-                hint="slice with `gray: 4`, or leave out `smooth`",
+                hint="slice with `gray: 4`, or leave out `through_grays`",
             )
         super().run(context, stack)
 
@@ -53,6 +50,6 @@ class ContourWriter(LayerWriter):
         from sppm_pipeline.services.outlines import level_lines, outlines
 
         layer = image[::-1]
-        rings = level_lines(layer.astype(np.float64), HALF) if self.smooth else outlines(layer >= 128)
+        rings = level_lines(layer.astype(np.float64), HALF) if self.through_grays else outlines(layer >= 128)
         low, pixel = np.array(stack.origin_mm[:2]), np.array(stack.pixel_mm)
         return self.encode_contours([low + ring * pixel for ring in rings], stack)

@@ -122,7 +122,7 @@ def disk(radius):
 
 def test_smooth_contours_run_through_grays(tmp_path):
     radius = 7.3
-    _, ((_, rings),) = read_cli(write(WriteCli(smooth=True), disk(radius)[None], tmp_path).read_bytes())
+    _, ((_, rings),) = read_cli(write(WriteCli(through_grays=True), disk(radius)[None], tmp_path).read_bytes())
     ((way, ring),) = rings
     distance = np.hypot(ring[:, 0] / PIXEL[0] - 20, ring[:, 1] / PIXEL[1] - 10)
     assert way == 1
@@ -141,4 +141,4 @@ def test_lines_are_those_of_another_program():
 
 def test_smooth_contours_need_grays(tmp_path):
     with pytest.raises(ConfigError, match="these are black and white"):
-        write(WriteSvg(smooth=True), random_layers(), tmp_path)
+        write(WriteSvg(through_grays=True), random_layers(), tmp_path)
