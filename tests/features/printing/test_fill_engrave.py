@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,3 +118,14 @@ def test_plates_of_plates_hold_twenty_variants():
     assert [int(np.count_nonzero(layer)) for layer in layers] == [
         sum(3 * k for k in range(z, 21)) for z in range(1, 21)
     ]
+
+
+def test_a_skin_on_the_face_with_the_text_is_enough(wang_tiling):
+    part = box(wang_tiling)
+    top = np.flatnonzero((part.domain.vertices[part.domain.faces][:, :, 2] > 8.9).all(1)).astype(np.int32)
+    _, context = engraved(replace(part, skin_faces=top), text="1", height=4)
+    assert not context.warnings
+    _, context = engraved(
+        replace(part, skin_faces=np.setdiff1d(np.arange(12, dtype=np.int32), top)), text="1", height=4
+    )
+    assert len(context.warnings) == 1

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from sppm_pipeline.services.arrays import F64, Bools
+from sppm_pipeline.services.arrays import F64, I64
 
 HIGH, ADVANCE = 6, 6
 """Height of a letter, and distance from one to the next, in units."""
@@ -53,17 +53,17 @@ def in_pieces(lines: F64, longest: float) -> list[F64]:
     return made
 
 
-def laid_on(points: F64, toward: F64, triangles: F64, reach: float) -> tuple[F64, F64, Bools]:
+def laid_on(points: F64, toward: F64, triangles: F64, reach: float) -> tuple[F64, F64, I64]:
     """Where lines through points (n, 3) along the unit vector `toward` meet triangles (m, 3, 3) that face it.
 
-    The nearest place within `reach` of each point (n, 3), the unit normal there, and whether there is one (n,).
+    The nearest place within `reach` of each point (n, 3), the unit normal there, and its triangle, -1 for none.
     """
     a, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     normals = np.cross(u, v)
     facing = np.flatnonzero(normals @ toward > 1e-9 * np.linalg.norm(normals, axis=1))
     a, u, v, normals = a[facing], u[facing], v[facing], normals[facing]
     slope = normals @ toward
-    places, across, there = points.copy(), np.tile(toward, (len(points), 1)), np.zeros(len(points), np.bool_)
+    places, across, which = points.copy(), np.tile(toward, (len(points), 1)), np.full(len(points), -1)
     for i, point in enumerate(points):
         # height of the triangle's plane above the point, and barycentric coordinates of the place (Moeller, Trumbore)
         offset = a - point
@@ -73,6 +73,6 @@ def laid_on(points: F64, toward: F64, triangles: F64, reach: float) -> tuple[F64
         inside = (first >= -1e-9) & (second >= -1e-9) & (first + second <= 1 + 1e-9) & (np.abs(height) <= reach)
         if inside.any():
             best = int(np.flatnonzero(inside)[np.argmin(np.abs(height[inside]))])
-            places[i], there[i] = point + height[best] * toward, True
+            places[i], which[i] = point + height[best] * toward, facing[best]
             across[i] = normals[best] / np.linalg.norm(normals[best])
-    return places, across, there
+    return places, across, which

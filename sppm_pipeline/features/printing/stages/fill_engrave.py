@@ -55,7 +55,7 @@ class Engrave(Stage):
         return height, stroke, stroke / 2 if self.groove_depth is None else self.groove_depth.mm()
 
     def check_options(self) -> None:
-        """Letters that there are, of strokes that can be told apart, and directions that make a frame."""
+        """Letters that there are, of distinct strokes, and directions that make a frame."""
         text = self.text.upper()
         if not text.strip() or len(text) > MAX_LETTERS or (unknown := sorted(set(text) - GLYPHS.keys())):
             what = (
@@ -68,10 +68,12 @@ class Engrave(Stage):
         height, stroke, depth = self._sizes
         if stroke > height / 4:
             raise ConfigError(
-                f"strokes of {stroke:g} mm run together in letters of {height:g} mm", hint="at most a quarter"
+                f"strokes run together: `stroke` is {stroke:g} mm in letters of {height:g} mm", hint="at most a quarter"
             )
         if depth > stroke / 2 * (1 + 1e-9):
-            raise ConfigError(f"grooves of {depth:g} mm are deeper than half of their width, {stroke:g} mm")
+            raise ConfigError(
+                f"`groove_depth` is {depth:g} mm, deeper than half of the width of grooves, {stroke:g} mm"
+            )
         if not np.linalg.norm(np.cross(self.facing, self.upward)) > 1e-6 * np.linalg.norm(self.facing) * np.linalg.norm(
             self.upward
         ):
@@ -94,11 +96,11 @@ class Engrave(Stage):
         long = height / HIGH * (ADVANCE * len(self.text) - 2)
         outer = part.domain.outer_surface
         triangles = part.domain.vertices[part.domain.faces] if outer is None else outer.triangles
-        places, normals, there = laid_on(points, toward, triangles, max(long, height))
-        if not there.all():
+        places, normals, which = laid_on(points, toward, triangles, max(long, height))
+        if (which < 0).any():
             raise DesignError(
                 f"the text {self.text!r}, {long:.4g} x {height:.4g} mm, does not fit on {part.domain.name}: "
-                f"{(~there).mean():.0%} of it meet no surface that faces {list(self.facing)} near {middle.tolist()} mm",
+                f"{(which < 0).mean():.0%} of it meet no surface that faces {list(self.facing)} near {middle.tolist()}",
                 hint="move `middle`, turn `facing`, or lower `letter_height`",
             )
         # a ball of this radius, so far below the surface, leaves a groove of that width
@@ -109,8 +111,10 @@ class Engrave(Stage):
             own = centers[first : first + len(line)].tolist()
             drains += [(*a, *b, radius) for a, b in itertools.pairwise(own)]
             first += len(line)
-        solid = part.skin_mm if part.skin_faces is None else 0.0
-        if max(solid, part.solid_mm) < depth:
+        chosen = part.skin_faces
+        # the triangles of the outer surface have other numbers
+        covered = chosen is None or (outer is None and bool(np.isin(which, chosen).all()))
+        if max(part.skin_mm if covered else 0.0, part.solid_mm) < depth:
             context.warn(
                 f"grooves of {depth:g} mm are engraved where there may be no solid: the part has no skin of that "
                 "thickness everywhere"
