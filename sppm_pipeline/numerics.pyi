@@ -28,7 +28,10 @@ from sppm_pipeline.method.tiling.lattice import hash_places as hash_places
 from sppm_pipeline.services.elastic.bounds import Bounds as Bounds
 from sppm_pipeline.services.elastic.bounds import Interval as Interval
 from sppm_pipeline.services.elastic.convergence import Limit as Limit
+from sppm_pipeline.services.elastic.elastic_level import Moduli as Moduli
 from sppm_pipeline.services.elastic.loaded import HeldBody as HeldBody
+from sppm_pipeline.services.elastic.loaded import Loaded as Loaded
+from sppm_pipeline.services.elastic.loaded import NodalValues as NodalValues
 from sppm_pipeline.services.grid import VOXEL_FACES as VOXEL_FACES
 from sppm_pipeline.services.grid import Grid as Grid
 from sppm_pipeline.services.grid import cell_centers as cell_centers

@@ -305,7 +305,13 @@ def browser():
     with sync_playwright() as playwright:
         made = Restarted(
             lambda: playwright.chromium.launch(
-                executable_path=path, args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+                executable_path=path,
+                args=[
+                    "--use-angle=swiftshader",
+                    "--enable-unsafe-swiftshader",
+                    "--no-sandbox",
+                    "--disable-dev-shm-usage",
+                ],
             )
         )
         yield made
@@ -313,10 +319,20 @@ def browser():
 
 
 class Restarted:
-    """A browser that is started again for the next test, if it crashed."""
+    """A browser that is started again for the next page, if it crashed."""
 
     def __init__(self, launch):
         self._launch, self._made = launch, launch()
+
+    def new_page(self, **options):
+        """A page, of a new browser if this one ends before it says so."""
+        from playwright.sync_api import Error
+
+        try:
+            return self.__getattr__("new_page")(**options)
+        except Error:
+            self._made = self._launch()
+            return self._made.new_page(**options)
 
     def __getattr__(self, name):
         if not self._made.is_connected():

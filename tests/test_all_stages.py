@@ -36,6 +36,7 @@ REQUIRED = {
     "slice.mesh": {"pixel": Length(0.1)},
     "fill.combine": {"operation": "union"},
     "tune.porosity": {"target": 0.5},
+    "fill.engrave": {"text": "7", "middle": (Length(0.0), Length(0.0), Length(1.0))},
     "design.sizes": {"pore": Length(0.6, "mm"), "strut": Length(0.4, "mm")},
     "tune.stiffness": {"target": 0.1},
     "tune.property": {"of": "elastic.E.1", "target": 0.1, "vary": "porous.target", "low": 0.3, "high": 0.8},

@@ -103,7 +103,7 @@ def test_who_asks_for_a_format_is_told_the_stage_that_writes_it(ending, stage):
     with pytest.raises(AttributeError, match=f"did you mean 'write.{stage}'"):
         getattr(sppm.write, ending)
     with pytest.raises(AttributeError, match=r"stages of this family: .*write\.absorption"):
-        _ = sppm.write.svg
+        _ = sppm.write.dwg
 
 
 def test_numbers_instead_of_what_is_made(cell):
