@@ -32,6 +32,27 @@ def stiff_share(fraction: NDArray[Any]) -> NDArray[Any]:
     return share
 
 
+MIN_SHARE = 1e-6
+"""Shares below are 0: they carry nothing, and single precision has no inverse of the least."""
+
+
+def power_share(fraction: NDArray[Any], power: float, ratio: float = 0.0) -> NDArray[Any]:
+    """Share of the solid's stiffness that a voxel has: its solid fraction to a power if the void has no stiffness.
+
+    With a filling, `ratio` times as stiff as the solid, voxels have the power mean of both, with the exponent
+    ``1 / power``. So both may change places, and the share turns into the fraction as they become alike.
+    """
+    if ratio > 1:
+        return np.asarray(1 - power_share(1 - fraction, power, 1 / ratio))
+    if ratio > 0.99:  # where the share is the fraction to a thousandth, and rounding errors are not
+        return fraction
+    root = ratio ** (1 / power)
+    mean = (root + (1 - root) * fraction) ** power
+    share = np.asarray(np.clip((mean - ratio) / (1 - ratio), 0, 1), fraction.dtype)
+    share[share < MIN_SHARE] = 0
+    return share
+
+
 @inline_jit
 def _cube(value: float) -> float:
     return value * value * value if value > 0.0 else 0.0

@@ -9,11 +9,15 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.method.porosity.fractions import stiff_share
+from sppm_pipeline.method.porosity.fractions import power_share, stiff_share
 from sppm_pipeline.services.elastic.refinement import (
+    POWERS,
+    doubt,
     limit_of_compliance,
     limit_of_grids,
+    limit_of_powers,
     mean_thickness,
+    power_weights,
     rest_of,
     second_order,
 )
@@ -55,6 +59,53 @@ def test_errors_of_second_order_vanish():
     assert limit_of_grids(spacings[:2], values[:2], 10.0, contrast=0.0).error == pytest.approx(0.01 * slope)
 
 
+@pytest.mark.parametrize("power", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("ratio", [0.0, 1e-6, 0.3, 1.0, 7.0])
+def test_powers_of_the_fraction(power, ratio):
+    fraction = np.linspace(0, 1, 31)
+    share = power_share(fraction, power, ratio)
+    assert share[[0, -1]] == pytest.approx([0, 1], abs=1e-12)
+    assert (np.diff(share) > 0).all()
+    if ratio:  # both materials may change places
+        assert 1 - power_share(1 - fraction, power, 1 / ratio) == pytest.approx(share, abs=1e-12)
+    else:
+        assert share == pytest.approx(fraction**power)
+    assert power_share(fraction, power, 0.98) == pytest.approx(fraction, abs=2e-3)
+
+
+@pytest.mark.parametrize("spacing", [1.75, 2.0, 2.5])
+def test_flat_walls_lose_nothing_in_the_limit(spacing):
+    """Wherever a wall of unit area, 7 voxels thick, cuts the finer grid: in the mean over all positions."""
+    cuts = (np.arange(1000) + 0.5) / 1000
+    sizes = [1.0, spacing, spacing, spacing]
+    # whole voxels between both surfaces, each of which cuts one voxel in the mean
+    found = [7 - h + 2 * h * power_share(cuts, power).mean() for h, power in zip(sizes, POWERS, strict=True)]
+    assert found[0] < 6.7
+    limit, change = (weights @ found for weights in power_weights(spacing))
+    assert limit == pytest.approx(7, rel=1e-6)
+    assert change == pytest.approx(0, abs=1e-5)
+
+
+def test_the_limit_of_powers_and_its_bar():
+    exact, slope = isotropic(1.0, 0.3), isotropic(0.1, 0.2)
+    values = [exact, exact, exact + slope, exact]
+    weights, change = power_weights(2.0)
+    limit = limit_of_powers(2.0, values, 4.0)
+    assert limit.value == pytest.approx(exact + weights[2] * slope)
+    assert limit.error == pytest.approx(0.1 * abs(change[2]) * slope + 0.06 / 4 * limit.value)
+    assert limit_of_powers(2.0, [exact] * 4, 4.0, contrast=0.0).error == pytest.approx(0 * exact, abs=1e-12)
+    far = limit_of_powers(2.0, [0.1 * exact, exact, exact, exact], 4.0)
+    assert not far.extrapolated
+    assert far.value == pytest.approx(0.1 * exact)
+    assert (np.diag(far.error) > 5 * np.diag(far.value)).all()
+
+
+def test_doubts_name_the_resolution():
+    assert doubt(0.1, "stiffness", 2.0, 32) == ""
+    assert "about 94 for 3 %" in doubt(0.15, "stiffness", 1.4, 32)
+    assert "about" not in doubt(0.15, "stiffness", 1.4)
+
+
 def test_what_can_not_be_extrapolated_stays():
     fine = isotropic(0.1, 0.3)
     limit = limit_of_grids([1.0, 2.0], [fine, isotropic(1.0, 0.3)], 5.0)
@@ -68,26 +119,29 @@ def test_what_can_not_be_extrapolated_stays():
     assert not limit.value[:, 2].any()
 
 
-# Limits of fine grids of benchmarks/partial_voxels.py, right to 0.4 %
+# Limits of 96 and 144 voxels of benchmarks/partial_voxels.py
 WIDE = [
     {"stage": "sample.mirrored_faces", "total": 95, "share": 0.5},
     {"stage": "sample.dart_throwing", "total": 95},
     {"stage": "connect.mbdst", "degree": [3, 5], "mode": "greedy"},
     {"stage": "field.gaussian", "pore_radius": 0.1075, "tunnel_radius": 0.0658},
 ]
-LIMITS = {("paper", 0.7): 0.03768, ("paper", 0.5): 0.19084, ("wide", 0.3): 0.43241}
+LIMITS = {
+    ("paper", 0.7): 0.03763, ("paper", 0.5): 0.19119, ("wide", 0.3): 0.44301,
+    ("stiff", 0.7): 0.14021,
+}  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
 @pytest.mark.parametrize(("recipe", "porosity"), LIMITS)
 def test_the_modulus_is_right_on_coarse_grids(recipe, porosity):
-    """In proportion to the solid fraction, 32 voxels gave 0.0477, 0.2142 and 0.4655."""
+    """A ramp of the solid fraction, extrapolated from 32 and 16 voxels, gave 17 % too much for the last one."""
     import sppm_pipeline as sppm
 
     field = sppm.tune.porosity(recipe=WIDE if recipe == "wide" else recipe, target=porosity, seed=1)
     found = HomogenizeVoxel(resolution=32, solver_tolerance=1e-3).run(PlainContext(), field).summary()
     error = abs(found["E_relative"] - LIMITS[recipe, porosity])
-    assert error < 0.04 * LIMITS[recipe, porosity]
+    assert error < 0.03 * LIMITS[recipe, porosity]
     assert error < found["E_relative_error"]
 
 
@@ -127,14 +181,14 @@ def test_walls_of_a_voxel_are_warned_of(run_yaml, summary):
     )
     stage = next(stage for stage in record["stages"] if stage["id"] == "homogenize.voxel")
     assert any("voxels thick in the mean" in word for word in stage["warnings"])
-    assert stage["summary"]["error_relative"] > 0.15
+    assert any(" for 3 %" in word for word in stage["warnings"])
 
 
 def test_images_of_fractions_are_extrapolated_as_fields(cell):
     fraction = HomogenizeVoxel(resolution=16).sampled(cell, 1).fraction
     image = Voxels(fraction, (1.0, 1.0, 1.0), True, (True, True, True))
     found = HomogenizeVoxel().run(PlainContext(), image)
-    assert found.solver["grids"] == [16, 8]
+    assert found.solver["grids"] == [16, 8, 8, 8]
     field = HomogenizeVoxel(resolution=16).run(PlainContext(), cell)
     assert found.stiffness == pytest.approx(field.stiffness, rel=0.05, abs=0.01)
     whole = Voxels((fraction > 0.5).astype(np.uint8), (1.0, 1.0, 1.0), False, (True, True, True))

@@ -26,7 +26,7 @@ class HomogenizeRealizations(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.realizations"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     draws: int = options.draws(10, note="for each size", maximum=100_000, formerly="samples")
     assemblies: tuple[int, ...] = option((1,), help="cells along the edge of each assembly", minimum=1, maximum=64)

@@ -11,9 +11,18 @@ from numpy.typing import NDArray
 from sppm_pipeline import ConfigError, Context, Homogenizer, ScalarField, Voxels, option, options
 from sppm_pipeline.method.families.homogenizer import LOCKING, SidedHomogenizer, VoxelCell, per_phase, refined
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
-from sppm_pipeline.method.porosity.fractions import solid_fractions, stiff_share
+from sppm_pipeline.method.porosity.fractions import power_share, solid_fractions, stiff_share
 from sppm_pipeline.services.arrays import F64
-from sppm_pipeline.services.elastic.refinement import Limit, doubt, limit_of_grids, mean_thickness, second_order
+from sppm_pipeline.services.elastic.refinement import (
+    POWERS,
+    Limit,
+    doubt,
+    limit_of_grids,
+    limit_of_powers,
+    mean_thickness,
+    power_weights,
+    second_order,
+)  # fmt: skip
 from sppm_pipeline.services.multigrid.transfer import coarsened
 
 if TYPE_CHECKING:
@@ -94,11 +103,21 @@ class ElasticCell(Homogenizer):
         stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
         return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))
 
-    def _body(self, cell: VoxelCell, expansion: tuple[float, ...]) -> tuple[ElasticBody, NDArray[Any] | None]:
+    def _loaded(self, cell: VoxelCell, power: float | None) -> VoxelCell:
+        """The cell with shares of the stiffness in place of solid fractions: by this power of them, or by the ramp."""
+        if cell.fraction is None:
+            return cell
+        ratio = self._void()[0] / self._materials()[0][0]
+        share = stiff_share(cell.fraction) if power is None else power_share(cell.fraction, power, ratio)
+        return cell._replace(fraction=share)
+
+    def _body(
+        self, cell: VoxelCell, expansion: tuple[float, ...], power: float | None = None
+    ) -> tuple[ElasticBody, NDArray[Any] | None]:
         """The cell as it is solved, and the coefficients of expansion of its voxels, if there are any."""
         from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody
 
-        cell = _loaded(cell)
+        cell = self._loaded(cell, power)
         lam, mu = zip(*self._constants(), strict=True)
         dtype = np.float32 if self.precision == "single" else np.float64
         firsts, seconds = cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
@@ -111,8 +130,8 @@ class ElasticHomogenizer(ElasticCell):
     """Base of stages that compute effective stiffnesses on voxels: grids, and the stiffness report of a cell."""
 
     grids: int | None = option(
-        None, help="grids solved, for an error bar; the limit of fine ones is extrapolated; 2 if omitted where "
-        "voxels count by solid fractions, else 1", minimum=1, maximum=3,
+        None, help="grids solved by one rule for voxels at the surface, the limit of which is extrapolated; if "
+        "omitted 2 by several rules where voxels count by solid fractions, else 1", minimum=1, maximum=3,
     )  # fmt: skip
 
     def _counts(self) -> list[int]:
@@ -128,8 +147,10 @@ class ElasticHomogenizer(ElasticCell):
 
     @property
     def effort(self) -> float:
-        """Voxels of all grids of a cell over those of the finest."""
-        return float(sum((count / self.resolution) ** 3 for count in self._counts()))
+        """Voxels of all solutions of a cell over those of the finest."""
+        counts = self._counts()
+        counts += counts[1:] * 2 if len(counts) == 2 and self.grids is None else []  # by three powers of the fraction
+        return float(sum((count / self.resolution) ** 3 for count in counts))
 
     def stiffness_of(
         self, context: Context, source: ScalarField | Voxels, expansion: tuple[float, ...] = ()
@@ -141,32 +162,37 @@ class ElasticHomogenizer(ElasticCell):
         phases, image = self._phases(cell), self._coarser_image(source, cell)
         spacings = [self.resolution / n for n in self._counts()] if isinstance(source, ScalarField) else [1.0]
         spacings += [2.0] if image else []
-        report = self._solved(context, cell, expansion, phases)
+        powers: tuple[float | None, ...] = (None,) * len(spacings)
+        if len(spacings) == 2 and self.grids is None:
+            powers, spacings = POWERS, [1.0, *spacings[1:] * (len(POWERS) - 1)]
+        report = self._solved(context, cell, expansion, phases, powers[0])
         del cell  # the solver needs the memory
         if len(spacings) == 1:
             return report
         values, heat = [report.stiffness], [_held_stress(report.stiffness, report.expansion)]
-        for number, spacing in enumerate(spacings[1:], 2):
-            if image is None:
+        for number, (spacing, power) in enumerate(zip(spacings[1:], powers[1:], strict=True), 2):
+            if image is None and (number == 2 or spacing != spacings[1]):
                 assert isinstance(source, ScalarField)
                 coarse = replace(self, resolution=round(self.resolution / spacing)).sampled(source, context.threads)
-            else:
-                coarse = image
-            found = self._found(context, coarse, expansion)
+            found = self._found(context, coarse if image is None else image, expansion, power)
             values.append(found.stiffness)
             heat.append(_held_stress(found.stiffness, found.expansion))
             context.progress(number, len(spacings), "grids")
         moduli = sorted(young for share, young, _ in phases if share > 0)
-        limit = limit_of_grids(spacings, values, thickness, 1 - moduli[0] / moduli[-1] if moduli[-1] else 0.0)
+        contrast = 1 - moduli[0] / moduli[-1] if moduli[-1] else 0.0
+        if powers[0] is None:
+            limit, held = limit_of_grids(spacings, values, thickness, contrast), second_order(spacings, heat)
+        else:
+            limit = limit_of_powers(spacings[1], values, thickness, contrast)
+            held = power_weights(spacings[1])[0] @ heat
         result = replace(
-            report, stiffness=limit.value, error=limit.error,
-            expansion=self._free_strain(report, limit, second_order(spacings, heat)),
+            report, stiffness=limit.value, error=limit.error, expansion=self._free_strain(report, limit, held),
             solver=report.solver | {
                 "grids": [round(n) for n in report.solver["grid"][0] / np.array(spacings)],
                 "C11": [float(value[0, 0]) for value in values], "extrapolated": limit.extrapolated,
             },
         )  # fmt: skip
-        self._warn_of_error(context, result, thickness)
+        self._warn_of_error(context, result, thickness, 0 if image else self.resolution)
         return result
 
     @staticmethod
@@ -179,7 +205,7 @@ class ElasticHomogenizer(ElasticCell):
         return free
 
     @staticmethod
-    def _warn_of_error(context: Context, report: StiffnessReport, thickness: float) -> None:
+    def _warn_of_error(context: Context, report: StiffnessReport, thickness: float, resolution: int) -> None:
         """Warn of error bars too long to rely on."""
         error = report.summary()["error_relative"]
         if not report.solver["extrapolated"]:
@@ -187,7 +213,7 @@ class ElasticHomogenizer(ElasticCell):
                 "these grids are too coarse to extrapolate; the stiffness is that of the finest, with an error bar of "
                 f"{error:.0%}: raise `resolution`"
             )
-        elif warning := doubt(error, "stiffness", thickness):
+        elif warning := doubt(error, "stiffness", thickness, resolution):
             context.warn(warning)
 
     def _coarser_image(self, source: ScalarField | Voxels, cell: VoxelCell) -> VoxelCell | None:
@@ -197,23 +223,25 @@ class ElasticHomogenizer(ElasticCell):
         x, y, z = (2 * h for h in cell.edges)
         return VoxelCell(None, np.asfortranarray(coarsened(cell.fraction), np.float32), (x, y, z))
 
-    def _found(self, context: Context, cell: VoxelCell, expansion: tuple[float, ...]) -> Homogenized:
-        """The stiffness of a cell on its grid."""
+    def _found(
+        self, context: Context, cell: VoxelCell, expansion: tuple[float, ...], power: float | None
+    ) -> Homogenized:
+        """The stiffness of a cell on its grid, by a power of the solid fraction or by the ramp."""
         options = self.solver_options(context.threads)
         del options["precision"]  # which the body has
-        body, expanding = self._body(cell, expansion)
+        body, expanding = self._body(cell, expansion, power)
         return body.stiffness(expansion=expanding, **options)
 
     def _solved(
         self, context: Context, cell: VoxelCell, expansion: tuple[float, ...],
-        phases: tuple[tuple[float, float, float], ...],
+        phases: tuple[tuple[float, float, float], ...], power: float | None,
     ) -> StiffnessReport:  # fmt: skip
         """The report of one grid, with what there is to warn of."""
         from sppm_pipeline.method.connectivity.components import phase_report
 
         # of what carries load: voxels that are hardly solid join nothing
-        connected = phase_report(_loaded(cell).occupied().T, self.wraps)
-        found = self._found(context, cell, expansion)
+        connected = phase_report(self._loaded(cell, None).occupied().T, self.wraps)
+        found = self._found(context, cell, expansion, power)
         warnings = self.solver_warnings(found.solved, found.precision)
         # of what is there: materials of phases that the image lacks do no harm
         if (largest := max((nu for share, e, nu in phases if share > 0 and e > 0), default=-1.0)) > LOCKING:
@@ -267,11 +295,6 @@ def _has_fractions(image: Voxels) -> bool:
     return partly and all(n % 2 == 0 and n >= _COARSEST for n in image.shape)
 
 
-def _loaded(cell: VoxelCell) -> VoxelCell:
-    """The cell with shares of the stiffness in place of solid fractions."""
-    return cell if cell.fraction is None else cell._replace(fraction=stiff_share(cell.fraction))
-
-
 def _held_stress(stiffness: F64, expansion: F64 | None) -> F64:
     """Stress of a clamped cell per kelvin, 0 where nothing carries load."""
     return np.zeros(6) if expansion is None else stiffness @ np.nan_to_num(expansion)
@@ -282,9 +305,9 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
     """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
-    voxels at its surface count as void up to a solid fraction of 1/4, as solid from 3/4 on, and share the stiffness in
-    between. The result is extrapolated from this grid and one half as fine to the limit of fine grids (Richardson), and
-    has an error bar; `grids: 1` with `fractions: binary` is the paper's way. Images may hold several phases, each with
+    voxels at its surface have a power of their solid fraction as their stiffness. Three powers on a grid half as fine
+    tell what they do to walls; the limit of fine grids is extrapolated from that, and has an error bar. `grids: 1` with
+    `fractions: binary` is the paper's way. Images may hold several phases, each with
     a material of its own; `extract.phases` makes them of fields. What fills the void has a stiffness by
     `filling_young`; voxels at the surface then have a mean of both.
 
@@ -297,7 +320,7 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.voxel"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ()
 
     expansion: float | tuple[float, ...] | None = option(
@@ -350,13 +373,15 @@ class HomogenizeVoxel(SidedHomogenizer, ElasticHomogenizer):
     def mirrored(self) -> bool:
         return super().mirrored and self.expansion is None
 
-    def _found(self, context: Context, cell: VoxelCell, expansion: tuple[float, ...]) -> Homogenized:
+    def _found(
+        self, context: Context, cell: VoxelCell, expansion: tuple[float, ...], power: float | None
+    ) -> Homogenized:
         """The stiffness of a cell on its grid."""
         if not self.mirrored:
-            return super()._found(context, cell, expansion)
+            return super()._found(context, cell, expansion, power)
         from sppm_pipeline.features.stiffness.numerics.mirrored import mirrored_stiffness
 
-        cell = _loaded(cell)
+        cell = self._loaded(cell, power)
         options = self.solver_options(context.threads)
         del options["threads"]
         lam, mu = (cell.of_voxels(values, options["precision"]) for values in zip(*self._constants(), strict=True))

@@ -25,7 +25,7 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
     """
 
     name: ClassVar[str] = "tune.stiffness"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = (
         "value", "modulus", "modulus_error", "modulus_grid_error", "homogenizations", "curve.#6.#2",
     )  # fmt: skip
