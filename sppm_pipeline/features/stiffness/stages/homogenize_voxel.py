@@ -130,8 +130,9 @@ class ElasticHomogenizer(ElasticCell):
     """Base of stages that compute effective stiffnesses on voxels: grids, and the stiffness report of a cell."""
 
     grids: int | None = option(
-        None, help="grids solved by one rule for voxels at the surface, the limit of which is extrapolated; if "
-        "omitted 2 by several rules where voxels count by solid fractions, else 1", minimum=1, maximum=3,
+        None, help="grids solved, for an error bar; by one rule for voxels at the surface, the limit of which is "
+        "extrapolated; if omitted 2 by several rules where voxels count by solid fractions, else 1",
+        minimum=1, maximum=3,
     )  # fmt: skip
 
     def _counts(self) -> list[int]:
