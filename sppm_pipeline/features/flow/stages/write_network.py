@@ -222,7 +222,7 @@ class WriteNetwork(Stage):
 
     An image is open at its sides, also if it repeats: where a pore meets one, another pore is put. Balls on the way
     from a pore through the throat to the next one set the size factor; as channels are wider than their balls, the
-    permeability comes out too low: at 0.4 to 0.6 of that of the void on two blobs of half solid.
+    permeability comes out too low: at 0.4 to 0.5 of that of the void on two blobs of half solid.
     """
 
     name: ClassVar[str] = "write.network"
