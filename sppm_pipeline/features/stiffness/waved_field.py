@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.method.fields.scalar_field import WrappedField
+from sppm_pipeline.method.fields.scalar_field import CutField
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.grid import Grid
@@ -62,7 +62,7 @@ def wave_values(order: int, points: F64) -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class WavedField(WrappedField):
+class WavedField(CutField):
     """A field less a constant and a sum of waves that fit into the cell: walls and struts are thicker here, thinner
     there.
 
@@ -72,12 +72,10 @@ class WavedField(WrappedField):
         Waves have at most so many periods along each axis.
     amplitudes : (2 n,) float64
         Of the cosines and sines of `waves_up_to`, each of a mean square of 1; the unit of the field.
-    cut : float
     """
 
     order: int
     amplitudes: F64
-    cut: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "amplitudes", frozen(np.asarray(self.amplitudes, np.float64)))
@@ -87,28 +85,15 @@ class WavedField(WrappedField):
         super().check()
         if self.amplitudes.shape != (2 * len(waves_up_to(self.order)),) or not np.isfinite(self.amplitudes).all():
             raise ValueError(f"amplitudes of the order {self.order} are finite, got {self.amplitudes.shape}")
-        if not math.isfinite(self.cut):
-            raise ValueError(f"a field is cut at a finite value, got {self.cut}")
 
     @property
     def sum_level(self) -> float | None:
         return None
 
-    @property
-    def finest_radius(self) -> float | None:
-        return None
-
-    @property
-    def thinnest_wall(self) -> float | None:
-        return None
-
-    def cut_at(self, value: float) -> WavedField:
-        return replace(self, cut=self.cut + value)
-
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         values = np.array(self.base.sample_zyx(grid, start, stop, threads), np.float32, order="C")
         x, y, z = self._factors(grid, start, stop)
-        _subtract_waves(x, y, z, self._parts(), self.cut, values)
+        _subtract_waves(x, y, z, self._parts(), self.value, values)
         return values.T
 
     def _factors(self, grid: Grid, start: int, stop: int) -> list[F64]:
@@ -131,5 +116,5 @@ class WavedField(WrappedField):
         return parts
 
     def summary(self) -> dict[str, Any]:
-        """The summary of the field, and the waves."""
-        return {**self.base.summary(), "waves": len(self.amplitudes) // 2, "cut": self.cut}
+        """The summary of the field that is cut, and the waves."""
+        return {**super().summary(), "waves": len(self.amplitudes) // 2}

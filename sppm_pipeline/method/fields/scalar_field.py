@@ -360,7 +360,7 @@ class CutField(WrappedField):
         if not np.isfinite(self.value):
             raise ValueError(f"a field is cut at a finite value, got {self.value}")
 
-    def cut_at(self, value: float) -> CutField:
+    def cut_at(self, value: float) -> Self:
         return replace(self, value=self.value + value)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:

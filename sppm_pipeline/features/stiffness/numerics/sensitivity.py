@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from typing import Any
 
 import numpy as np
@@ -11,24 +9,12 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.features.stiffness.numerics.elasticity import Homogenized
 from sppm_pipeline.services.arrays import F64
+from sppm_pipeline.services.elastic.loaded import brick_strains
 
 _CHUNK = 20000
 """Bricks at a time, to bound memory."""
 
 _CORNERS = tuple((x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1))
-
-
-def strain_matrices(edges: tuple[float, float, float]) -> F64:
-    """Strains at the eight Gauss points of a brick by the displacements of its corners, (8, 6, 24); x goes fastest."""
-    near = 0.5 - 0.5 / math.sqrt(3)
-    found = np.zeros((8, 6, 24))
-    for g, point in enumerate(itertools.product((near, 1 - near), repeat=3)):
-        for n, corner in enumerate(_CORNERS):
-            weight = [p if c else 1 - p for p, c in zip(point, corner, strict=True)]
-            slope = [(1 if c else -1) / h for c, h in zip(corner, edges, strict=True)]
-            gx, gy, gz = (slope[k] * weight[(k + 1) % 3] * weight[(k + 2) % 3] for k in range(3))
-            found[g, :, 3 * n : 3 * n + 3] = [[gx, 0, 0], [0, gy, 0], [0, 0, gz], [0, gz, gy], [gz, 0, gx], [gy, gx, 0]]
-    return found
 
 
 def brick_stiffness(
@@ -57,7 +43,8 @@ def brick_stiffness(
     (m, 6, 6) float64
     """
     longest = max(edges)
-    matrices = strain_matrices((edges[0] / longest, edges[1] / longest, edges[2] / longest))
+    matrices, weights = brick_strains((edges[0] / longest, edges[1] / longest, edges[2] / longest))
+    weights = weights / weights[0]  # the first is the volume
     moved = [packed.reshape(3, *shape) for packed, _ in found.fields]
     steps = np.array([step for _, step in found.fields])
     out = np.empty((len(where), 6, 6))
@@ -70,8 +57,10 @@ def brick_stiffness(
             for case, u in enumerate(moved):
                 corners[case, :, 3 * n : 3 * n + 3] = steps[case] * u[at].T
         energy = np.zeros((len(part), 6, 6))
-        for matrix in matrices:
-            strain = corners @ matrix.T + np.eye(6)[:, None]
-            energy += np.einsum("cma,dma->mcd", strain @ base, strain)
-        out[first : first + _CHUNK] = energy / 8
+        for number, (matrix, weight) in enumerate(zip(matrices, weights, strict=True)):
+            strain = corners @ matrix.T
+            if not number:  # that of the load case is the same all over the brick
+                strain += np.eye(6)[:, None]
+            energy += weight * np.einsum("cma,dma->mcd", strain @ base, strain)
+        out[first : first + _CHUNK] = energy
     return out

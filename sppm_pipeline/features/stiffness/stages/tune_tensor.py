@@ -284,7 +284,7 @@ class Search:
 
     def _plain(self, dials: F64) -> WavedField:
         return WavedField(
-            _KeptField(self._cells(dials.tolist()), {}), self._order, np.zeros(2 * len(waves_up_to(self._order)))
+            _KeptField(self._cells(dials.tolist()), {}), 0.0, self._order, np.zeros(2 * len(waves_up_to(self._order)))
         )
 
     def variation(self, state: State) -> float:
