@@ -67,6 +67,17 @@ def options_at(varied: Sequence[Varied], at: Sequence[float]) -> dict[str, dict[
     return found
 
 
+def periodic_cell(context: Context, recipe: Recipe, draw: int, options: dict[str, dict[str, Any]]) -> ScalarField:
+    """The cell that a recipe draws with other options; ConfigError if it makes none that repeats."""
+    made: Any = recipe.run(context, palette=context.palette, attempt=draw, options=options)
+    if not isinstance(made, ScalarField) or not made.periodic:
+        raise ConfigError(
+            f"the recipe {recipe.name!r} makes a {type(made).__name__}; stiffness is that of a periodic cell",
+            hint="end the recipe with a stage such as `field.walls`",
+        )
+    return made
+
+
 def varied_option(recipe: Recipe, vary: str) -> Varied:
     """The option that a user names: ``id.option``, ``recipe.id.option``, or an option of all stages that state it; or
     `LENGTHS`, which are all lengths that the recipe states with a unit, by a common factor.

@@ -15,7 +15,7 @@ from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.design.atlas import FAMILIES, POROSITY, PROPERTIES, Atlas, scaled
 from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit, interval, orthotropic, stretch_of
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
-from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
+from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, periodic_cell, varied_option
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
 from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_porosity
 from sppm_pipeline.nouns.length import Length
@@ -357,14 +357,7 @@ class _Cells:
             return known
         values = dials[: len(self._varied)]
         porosity = dials[-1] if self._stage.porosity is None else self._stage.porosity
-        made: Any = self._recipe.run(
-            self._context, palette=self._context.palette, attempt=draw, options=options_at(self._varied, values)
-        )
-        if not isinstance(made, ScalarField) or not made.periodic:
-            raise ConfigError(
-                f"the recipe {self._recipe.name!r} makes a {type(made).__name__}; stiffness is that of a periodic cell",
-                hint="end the recipe with a stage such as `field.walls`",
-            )
+        made = periodic_cell(self._context, self._recipe, draw, options_at(self._varied, values))
         grid = cell_centers(self._stage.resolution, made.cells)
         threads = self._context.threads
         if isinstance(made, Microstructure):

@@ -14,7 +14,7 @@ from sppm_pipeline.features.stiffness.numerics.sensitivity import brick_stiffnes
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.features.stiffness.waved_field import WavedField, wave_values, waves_up_to
 from sppm_pipeline.method.families.homogenizer import Quiet, VoxelCell
-from sppm_pipeline.method.families.tuner import HIGH, LOW, options_at, varied_option
+from sppm_pipeline.method.families.tuner import HIGH, LOW, options_at, periodic_cell, varied_option
 from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
@@ -177,16 +177,7 @@ class TuneTensor(Stage):
                 hint="give those of `design.stiffness`",
             )
 
-        def cell_at(dials: Sequence[float]) -> ScalarField:
-            made: Any = recipe.run(context, palette=context.palette, attempt=draw, options=options_at(varied, dials))
-            if not isinstance(made, ScalarField) or not made.periodic:
-                raise ConfigError(
-                    f"the recipe {recipe.name!r} makes a {type(made).__name__}; stiffness is that of a periodic cell",
-                    hint="end the recipe with a stage such as `field.walls`",
-                )
-            return made
-
-        return cell_at
+        return lambda dials: periodic_cell(context, recipe, draw, options_at(varied, dials))
 
 
 @dataclass(frozen=True, eq=False)
