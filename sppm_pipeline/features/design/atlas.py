@@ -169,7 +169,7 @@ NEAR = 0.15
 """Distance of parameters, over their ranges, below which two designs are the same to a user."""
 
 OF_A_FAMILY = 2
-"""Most designs of a family that are returned, so that others are seen beside them."""
+"""Most designs of a family among five, so that others are seen beside them; among more its share of them."""
 
 EQUAL = 0.03
 """Relative tolerance of conditions with ``=``, but that of the porosity, which is a parameter."""
@@ -411,10 +411,11 @@ def searched(
             "no design of the atlas meets all conditions", hint=f"the nearest, {rows[best][0]}, has {near}"
         )
     chosen: list[int] = []
+    of_a_family = max(OF_A_FAMILY, -(-count // len(FAMILIES)))
     for k in good[np.argsort(aim[good], kind="stable")]:
         family, point, *_ = rows[k]
         own = [j for j in chosen if rows[j][0] == family]
-        if len(own) < OF_A_FAMILY and all(np.abs(rows[j][1] - point).max() > NEAR for j in own):
+        if len(own) < of_a_family and all(np.abs(rows[j][1] - point).max() > NEAR for j in own):
             chosen.append(int(k))
         if len(chosen) == count:
             break

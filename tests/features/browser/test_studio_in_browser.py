@@ -3,12 +3,16 @@
 import threading
 import time
 
+import numpy as np
 import pytest
 
+import sppm_pipeline as sppm
 from sppm_pipeline.engine.api.pipeline import Pipeline
 from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.features.browser.studio.design import START, Design
-from sppm_pipeline.features.browser.studio.server import server_of
+from sppm_pipeline.features.browser.studio.server import CHARTED, server_of
+
+PlaywrightError = pytest.importorskip("playwright.sync_api").Error
 
 pytestmark = pytest.mark.browser
 
@@ -120,6 +124,32 @@ def test_the_file_can_be_downloaded(page):
     assert download.value.path().read_text(encoding="utf-8").strip() == page.inner_text("#yaml").strip()
 
 
+def test_the_atlas_is_a_chart(page):
+    page.click("#find summary")
+    count = until(page, "document.querySelectorAll('#chart .design').length", "no chart")
+    expected = sppm.find("porosity = 0.7", cell="4 mm", count=CHARTED)
+    assert count == len(expected)
+    point = page.locator("#chart .design").nth(7)
+    point.focus()
+    said = page.inner_text("#found")
+    assert said.startswith(f"{expected[7].family}, {expected[7].total} pores a cell: E_relative ")
+    assert float(said.split("E_relative ")[1].split()[0]) == pytest.approx(
+        expected[7].values["E_relative"][1], rel=0.006
+    )
+    across = [
+        float(one)
+        for one in page.evaluate("[...document.querySelectorAll('#chart .design')].map(c => c.cx.baseVal.value)")
+    ]
+    assert [*np.argsort(across)] == [*np.argsort([one.values["E_relative"][1] for one in expected])]
+    page.fill("#conditions", "E_relative > 2")
+    page.click("#find button")
+    until(page, "!document.querySelector('#find form ~ .fault').hidden", "no error")
+    assert "no design of the atlas meets all conditions" in page.inner_text("#find .fault")
+    page.fill("#conditions", "porosity = 0.7")
+    page.click("#find button")
+    until(page, "document.querySelector('#find form ~ .fault').hidden", "the error stays")
+
+
 def test_the_studio_is_usable(page, usable):
     usable(page, ["[data-key='params.pores'] [type=range]", "#live-cut"])
 
@@ -134,3 +164,26 @@ def test_nothing_else_is_asked_and_nothing_overflows(page):
         "[...document.querySelectorAll('input, select')].filter(i => !i.labels.length && !i.ariaLabel).length"
     )
     assert unlabeled == 0
+
+
+def test_a_point_of_the_chart_opens_its_cell(page):
+    page.locator("#chart .design").nth(7).focus()
+    page.keyboard.press("Enter")
+    text = sppm.find("porosity = 0.7", cell="4 mm", count=CHARTED)[7].configuration("found")
+    ends = time.monotonic() + 60
+    while True:
+        try:
+            if page.inner_text("h1") == "found" and page.locator("#chart .design.taken").count():
+                break
+        except PlaywrightError:  # the page is being left
+            pass
+        assert time.monotonic() < ends, page.heard
+        page.wait_for_timeout(50)
+    until(page, "document.getElementById('status').dataset.drawn", "not drawn", 120)
+    assert page.inner_text("#yaml").strip() == text.strip()
+    assert page.inner_text("#found").startswith("open: ")
+    for number in ("x", "9999"):
+        status = page.evaluate(
+            f"fetch('open?conditions=porosity%20%3D%200.7&number={number}', {{method: 'POST'}}).then(a => a.status)"
+        )
+        assert status == 422

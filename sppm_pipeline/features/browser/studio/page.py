@@ -39,7 +39,7 @@ def studio_page(
     Of a part that a mesh has begun, `begun` are the kind of design and the printer. A page that stands `alone` fetches
     nothing: it has these controls, and knows where they stand in its text.
     """
-    names = ("part.js", "studio.js") if alone is None else ("part.js", "cell.js", "alone.js", "studio.js")
+    names = ("part.js", "studio.js", "find.js") if alone is None else ("part.js", "cell.js", "alone.js", "studio.js")
     script = joined_script(
         ASSETS / "base.js", *(ASSETS / name for name in LIVE_SCRIPTS), *(HERE / "assets" / name for name in names)
     )

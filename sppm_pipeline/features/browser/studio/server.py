@@ -11,9 +11,10 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, quote
 
+import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.new import DESIGNS
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
@@ -23,6 +24,9 @@ from sppm_pipeline.features.browser.studio.controls import places, with_values
 from sppm_pipeline.features.browser.studio.design import START, Changed, Design, Superseded
 from sppm_pipeline.features.browser.studio.page import studio_page
 from sppm_pipeline.features.browser.studio.parts import KIND, MESHES, begun, scratch_of
+
+if TYPE_CHECKING:
+    from sppm_pipeline.nouns import FoundDesign
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -91,6 +95,9 @@ def execute(args: Namespace) -> int:
 MAX_BODY, MAX_MESH = 1_000_000, 2**28
 """Bytes of a request that are read, and of a mesh that is dropped onto the page."""
 
+CHARTED = 80
+"""Designs of the atlas on the chart, evenly of all families: few enough to be told apart."""
+
 TYPES = {".html": "text/html", ".png": "image/png", ".stl": "model/stl"}
 
 
@@ -141,6 +148,19 @@ class Studio:
         self.mesh, self.kind, self.printer = mesh, kind, printer or ""
         self.show(request, None if dropped else file, fresh=not again)
 
+    def found(self, asked: Mapping[str, str]) -> list[FoundDesign]:
+        """Designs that meet the conditions of a request, by the atlas."""
+        return sppm.find(asked.get("conditions", ""), cell=asked.get("cell") or None, count=CHARTED)
+
+    def take(self, asked: Mapping[str, str]) -> None:
+        """Put one of the designs that were found on the page."""
+        designs, number = self.found(asked), asked.get("number", "")
+        if not (number.isdecimal() and int(number) < len(designs)):
+            raise InputError(f"{number!r} is none of the {len(designs)} designs", hint="find them again")
+        text = designs[int(number)].configuration("found")
+        self.mesh = None
+        self.show(replace(self.request, file="found.yaml", text=text), None, fresh=True)
+
     def drop(self, name: str, body: bytes) -> None:
         """Begin with a mesh that was dropped onto the page: one in the current folder if it is the same, or a copy."""
         name = re.sub(r"[^\w.() -]+", "_", PurePosixPath(name.replace("\\", "/")).name)
@@ -170,6 +190,12 @@ def server_of(shown: Design | Studio, port: int = 0) -> LocalServer:
             _, page, rules = studio.shown
             if not place.path:
                 self.answer(200, "text/html", page.encode(), (("Content-Security-Policy", rules),))
+            elif place.path == "find":
+                asked = {key: values[0] for key, values in parse_qs(place.query, keep_blank_values=True).items()}
+                try:
+                    self._json(200, {"designs": [one._asdict() for one in studio.found(asked)]})
+                except SppmError as error:
+                    self._refused(error, {})
             elif place.path in ("cell", "numbers", "run", "file"):
                 query = parse_qs(place.query, keep_blank_values=True)
                 changes = self._changes(_decoded(query.get("changes", ["{}"])[0]))
@@ -215,13 +241,15 @@ def server_of(shown: Design | Studio, port: int = 0) -> LocalServer:
             return None
 
         def _opened(self, query: Mapping[str, list[str]]) -> None:
-            """Another design on the page: of a mesh in the body, or of the same one if that is empty."""
+            """Another design on the page: found, of a mesh in the body, or of the same one if that is empty."""
             body = self.body(MAX_MESH)
             if body is None:
                 return
             asked = {key: values[0] for key, values in query.items()}
             try:
-                if body and "name" in asked:
+                if "conditions" in asked:
+                    studio.take(asked)
+                elif body and "name" in asked:
                     studio.drop(asked["name"], body)
                 elif studio.mesh is not None:
                     changes = _decoded(asked.get("changes", "{}"))

@@ -76,7 +76,8 @@ class TuneTensor(Stage):
 
     The stiffness is that of fine grids, extrapolated as by `homogenize.voxel`. What comes out is homogenized again on
     a grid of 1.5 times as many voxels, by whose stiffness the search is corrected, up to twice; the distance to the
-    target that is reported is the one there, with its error bar.
+    target that is reported is the one there, with its error bar. If the nearest of the `trials` ends far from the
+    target, the next one is tried.
     """
 
     name: ClassVar[str] = "tune.tensor"
