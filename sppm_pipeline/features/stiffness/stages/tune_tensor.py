@@ -146,6 +146,7 @@ class TuneTensor(Stage):
             found = search.run(found, self.accuracy, search.solved + self.evaluations // 3)
             latest = self._measured(context, design, found, search, draw)
             best = min(best, latest, key=lambda one: one.distance)
+        solved = sum(one.solved for one in searches)
         if best.distance > self.max_distance:
             raise DesignError(
                 f"the cell came within {best.distance:.2g} of the norm of the target, and not within "
@@ -155,7 +156,7 @@ class TuneTensor(Stage):
             )
         if best.distance > self.accuracy:
             context.warn(
-                f"after {sum(one.solved for one in searches)} cells the stiffness is {best.distance:.2g} of its norm away from the target, "
+                f"after {solved} cells the stiffness is {best.distance:.2g} of its norm away from the target, "
                 f"more than `accuracy: {self.accuracy:g}`: raise `evaluations`, `periods` or `resolution`"
             )
         bar = float(np.linalg.norm(mandel(cast(F64, best.report.error)))) / best.state.norm
@@ -163,7 +164,7 @@ class TuneTensor(Stage):
         context.report(
             distance=best.distance, distance_before=search.first, grid_error=bar,
             variation=search.variation(best.state), porosity=1 - best.state.solid, draw=draw,
-            homogenizations=sum(one.solved for one in searches), stiffness=rotated(stiffness, design.rotation) if design else stiffness,
+            homogenizations=solved, stiffness=rotated(stiffness, design.rotation) if design else stiffness,
         )  # fmt: skip
         return best.field
 
