@@ -241,6 +241,21 @@ def sppm_live_views() -> Mapping[str, Viewer]:  # type: ignore[empty-body]
 
 
 @hookspec
+def sppm_design_finders() -> Mapping[str, Callable[..., Any] | str]:  # type: ignore[empty-body]
+    """Supply functions that find designs by their properties, for the chart in the studio.
+
+    Called once, together with `sppm_stages`. Returns a mapping from a name to a function, which may be given as
+    ``"module:function"``. It is called as `sppm_pipeline.find` is, ``find(query, cell="4 mm", count=80)``, and returns
+    a sequence of what that returns: designs with `family`, `total`, `values` (of low, expected and high by property)
+    and ``configuration(name)``. An empty mapping means: none. Example::
+
+        @hookimpl
+        def sppm_design_finders():
+            return {"crystals": "sppm_fcc.atlas:find"}
+    """
+
+
+@hookspec
 def sppm_report_sections(record: Mapping[str, Any]) -> Sequence[ReportSection]:  # type: ignore[empty-body]
     """Supply sections of the report of a run.
 

@@ -64,6 +64,7 @@ class Plugin:
     executors: dict[str, Callable[..., Executor]] = field(default_factory=dict)
     commands: dict[str, hookspecs.Command] = field(default_factory=dict)  # by verb
     presets: dict[str, hookspecs.Preset] = field(default_factory=dict)
+    finders: dict[str, Any] = field(default_factory=dict)
     viewers: dict[str, Viewer] = field(default_factory=dict)  # by "module:Class" of what is shown
 
     def __str__(self) -> str:
@@ -259,6 +260,7 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
     ("sppm_executors", "executors", callable, "functions"),
     ("sppm_commands", "commands", lambda value: isinstance(value, hookspecs.Command), "a Command"),
     ("sppm_presets", "presets", lambda value: isinstance(value, hookspecs.Preset), "a Preset"),
+    ("sppm_design_finders", "finders", lambda value: callable(value) or isinstance(value, str), "functions"),
     ("sppm_live_views", "viewers", lambda value: isinstance(value, Viewer), "a Viewer"),
 )
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""

@@ -29,3 +29,9 @@ def sppm_commands() -> dict[str, Command]:
     """The verbs of this feature."""
     words, where = "find designs by their properties, in the atlas of measured ones", f"{__name__}.commands"
     return {"find": Command(words, f"{where}:configure", f"{where}:execute")}
+
+
+@hookimpl
+def sppm_design_finders() -> dict[str, str]:
+    """The atlas."""
+    return {"atlas": f"{__name__}.atlas:find"}

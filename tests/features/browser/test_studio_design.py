@@ -14,6 +14,7 @@ from urllib.parse import urlencode
 
 import pytest
 
+import sppm_pipeline as sppm
 from sppm_pipeline.engine.api.pipeline import Pipeline
 from sppm_pipeline.engine.config.document import MAX_DEPTH
 from sppm_pipeline.engine.files import write_whole
@@ -21,7 +22,7 @@ from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.errors import ConfigError, InputError, SppmError
+from sppm_pipeline.errors import ConfigError, InputError, PluginError, SppmError
 from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.studio.controls import _number, _slider
 from sppm_pipeline.features.browser.studio.design import START, Design, Superseded
@@ -456,3 +457,24 @@ def test_mistakes_are_told_and_closed_connections_are_not(server, capsys):
     told = capsys.readouterr().err
     assert "a mistake" in told
     assert "ConnectionReset" not in told
+
+
+def test_plugins_find_designs_too(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from sppm_pipeline import find, hookimpl\n\n\ndef own(query, *, cell, count):\n"
+        "    if cell == '1 mm':\n        raise KeyError('no cell')\n    return find(query, cell=cell, count=1)\n\n\n"
+        "@hookimpl\ndef sppm_design_finders():\n    return {'own': own}\n",
+        encoding="utf-8",
+    )
+    design = Design(
+        RunRequest("cell.yaml", text=START, folder=".", distributions=False, plugins=(str(tmp_path / "own.py"),)),
+        None,
+        1,
+    )
+    query = "porosity = 0.7, E_relative > 0.1"
+    expected = sppm.find(query, cell="4 mm", count=3)
+    assert design.found(query, "4 mm", 3) == [*expected, expected[0]]
+    with pytest.raises(PluginError, match="the finder 'own' raised KeyError"):
+        design.found(query, "1 mm", 3)
+    with pytest.raises(ConfigError, match="is no condition"):
+        design.found("stiff", None, 3)

@@ -21,13 +21,14 @@ from sppm_pipeline.engine.config.problems import raise_problems
 from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.estimate import estimate_plan, unfit_problems
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
+from sppm_pipeline.engine.plan.plugins import imported
 from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.strict_json import jsonable
-from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, ResourceError, SppmError
+from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, PluginError, ResourceError, SppmError, described
 from sppm_pipeline.features.browser.live.page import head_of
 from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.studio.controls import Control, controls_of, places, with_values
@@ -147,6 +148,20 @@ class Design:
         self._store = Store(self._scratch / "cache", CACHE)
         self._drains: tuple[tuple[float, ...], ...] = ()
         self._ran: tuple[str, Plan, Path, dict[str, Any]] | None = None
+
+    def found(self, conditions: str, cell: str | None, count: int) -> list[Any]:
+        """Designs that meet conditions, at most `count` of each plugin that finds some."""
+        designs: list[Any] = []
+        for plugin in self._session.registry.plugins.plugins:
+            for name, target in plugin.finders.items():
+                find = imported(plugin, f"the finder {name!r}", target)
+                try:
+                    designs += find(conditions, cell=cell, count=count)
+                except SppmError:
+                    raise
+                except Exception as error:
+                    raise PluginError(f"{plugin}: the finder {name!r} raised {described(error)}") from error
+        return designs
 
     def text_with(self, changes: Mapping[str, Any]) -> str:
         """The configuration with other values, by the keys of controls."""

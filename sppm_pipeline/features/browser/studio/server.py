@@ -11,10 +11,9 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import parse_qs, quote
 
-import sppm_pipeline as sppm
 from sppm_pipeline.engine.cli.new import DESIGNS
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
@@ -24,9 +23,6 @@ from sppm_pipeline.features.browser.studio.controls import places, with_values
 from sppm_pipeline.features.browser.studio.design import START, Changed, Design, Superseded
 from sppm_pipeline.features.browser.studio.page import studio_page
 from sppm_pipeline.features.browser.studio.parts import KIND, MESHES, begun, scratch_of
-
-if TYPE_CHECKING:
-    from sppm_pipeline.nouns import FoundDesign
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -148,9 +144,9 @@ class Studio:
         self.mesh, self.kind, self.printer = mesh, kind, printer or ""
         self.show(request, None if dropped else file, fresh=not again)
 
-    def found(self, asked: Mapping[str, str]) -> list[FoundDesign]:
-        """Designs that meet the conditions of a request, by the atlas."""
-        return sppm.find(asked.get("conditions", ""), cell=asked.get("cell") or None, count=CHARTED)
+    def found(self, asked: Mapping[str, str]) -> list[Any]:
+        """Designs that meet the conditions of a request, by all that find some."""
+        return self.shown[0].found(asked.get("conditions", ""), asked.get("cell") or None, CHARTED)
 
     def take(self, asked: Mapping[str, str]) -> None:
         """Put one of the designs that were found on the page."""
