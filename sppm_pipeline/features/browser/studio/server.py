@@ -92,7 +92,7 @@ MAX_BODY, MAX_MESH = 1_000_000, 2**28
 """Bytes of a request that are read, and of a mesh that is dropped onto the page."""
 
 CHARTED = 80
-"""Designs of the atlas on the chart, evenly of all families: few enough to be told apart."""
+"""Designs of the atlas on the chart, evenly of all families: few enough to tell points apart."""
 
 TYPES = {".html": "text/html", ".png": "image/png", ".stl": "model/stl"}
 

@@ -12,7 +12,7 @@ if (byId("find")) {
   const digits = (v) => String(Number(v.toPrecision(3)));
   const unit = (name) => (asked.cell ? { permeability: "mm²", surface: "1/mm", strut: "mm", strut_thinnest: "mm", pore: "mm" }[name] ?? "" : "");
   const words = (name) => `${name}${unit(name) ? `, ${unit(name)}` : ""}`;
-  const told = (d) => `${d.family}, ${d.total} pores a cell: ${axes.map(({ value: name }) => `${name} ${digits(d.values[name][1])} (${digits(d.values[name][0])} to ${digits(d.values[name][2])}) ${unit(name)}`.trim()).join(", ")}`;
+  const summary = (d) => `${d.family}, ${d.total} pores a cell: ${axes.map(({ value: name }) => `${name} ${digits(d.values[name][1])} (${digits(d.values[name][0])} to ${digits(d.values[name][2])}) ${unit(name)}`.trim()).join(", ")}`;
 
   // Logarithmic places along an axis, and its marks: 1, 2, 5 times powers of ten, and more where these are few.
   function axis(name, from, to) {
@@ -48,9 +48,9 @@ if (byId("find")) {
     add("path", { class: "front", d: front.map(([a, b], i) => (i ? `H${a}V${b}` : `M${a} ${b}`)).join("") });
     designs.forEach((d, i) => {
       const [cx, cy] = at(d), [bx, by] = axes.map((a, k) => [d.values[a.value][0], d.values[a.value][2]].map([x, y][k].place));
-      const point = add("circle", { class: `design f${families.indexOf(d.family)}${i === taken ? " taken" : ""}`, r: 6, cx, cy, tabindex: 0, role: "button", "aria-label": told(d) });
+      const point = add("circle", { class: `design f${families.indexOf(d.family)}${i === taken ? " taken" : ""}`, r: 6, cx, cy, tabindex: 0, role: "button", "aria-label": summary(d) });
       add("path", { class: "bar", d: `M${bx[0]} ${cy}H${bx[1]}M${cx} ${by[0]}V${by[1]}` });
-      for (const event of ["mouseenter", "focus"]) point.addEventListener(event, () => { said_.textContent = told(d); });
+      for (const event of ["mouseenter", "focus"]) point.addEventListener(event, () => { said_.textContent = summary(d); });
       point.addEventListener("click", () => open(i));
       point.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); open(i); } });
     });
@@ -77,7 +77,7 @@ if (byId("find")) {
       a.value = chosen[k] || ["E_relative", "permeability"][k];
     });
     plot();
-    said_.textContent = taken >= 0 ? `open: ${told(designs[taken])}` : `${designs.length} designs`;
+    said_.textContent = taken >= 0 ? `open: ${summary(designs[taken])}` : `${designs.length} designs`;
   }
 
   async function open(number) {
