@@ -61,7 +61,7 @@ $(VENV)/.installed-tests: pyproject.toml $(wildcard plugins/*/pyproject.toml)
 
 $(VENV)/.installed-docs: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable ".[docs,plot]" --editable plugins/sppm-structures --editable plugins/sppm-crushing
+	$(BIN)/pip install --quiet --editable ".[docs,plot]" $(foreach plugin,structures crushing tetrahedra,--editable plugins/sppm-$(plugin))
 	touch $(VENV)/.installed $@
 
 clean:

@@ -64,7 +64,7 @@ class Small(NamedTuple):
 
     `params` and `options` are as after ``-p`` and ``-s`` of ``sppm run``; ``{folder}`` stands for the folder of the
     run. `sweep` replaces that of the configuration, if not empty. `plugins` are needed: sppm-structures, sppm-crushing,
-    or a file of its own.
+    sppm-tetrahedra, or a file of its own.
     """
 
     params: tuple[str, ...] = ()
@@ -212,7 +212,7 @@ CONFIGS: Mapping[str, Small] = {
         plugins=True,
     ),
     "walls_tetrahedra": _small(
-        "pores=4; tunnel_radius=0.08", "walls.resolution=40; tetrahedra.residual=1e-4", f"\n{_WALLS}"
+        "pores=4; tunnel_radius=0.08", "walls.resolution=40; tetrahedra.residual=1e-4", f"\n{_WALLS}", plugins=True
     ),
     "wang_part": _small(
         "cell=8 mm",
@@ -273,7 +273,7 @@ EXAMPLES: Mapping[str, Small] = {
         "tune.porosity.resolution=24; elastic.resolution=12",
         "{pores: [20, 50], porosity: [0.5, 0.7], seed: [1]}",
     ),
-    "tetrahedra": _small("", "tune.porosity.resolution=24; mesh.isosurface_stuffing.resolution=12"),
+    "tetrahedra": _small("", "tune.porosity.resolution=24; mesh.isosurface_stuffing.resolution=12", plugins=True),
     "trapped_resin": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.3 mm"),
     "tube": _small("", f"tile.fresh.resolution=12; {_VIEW}"),
     "regions": _small("", f"coarse.resolution=12; fine.resolution=12; {_VIEW}"),

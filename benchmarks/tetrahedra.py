@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from sppm_tetrahedra.numerics.quality import dihedral_histogram, quality
+from sppm_tetrahedra.stages.mesh_isosurface_stuffing import IsosurfaceStuffing
 
 from benchmarks.measure import repeat_in_process, table
-from sppm_pipeline.features.tetrahedra.numerics.quality import dihedral_histogram, quality
-from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import IsosurfaceStuffing
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField

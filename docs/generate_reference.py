@@ -31,7 +31,7 @@ from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"
-PLUGINS = ("sppm-crushing",)
+PLUGINS = ("sppm-crushing", "sppm-tetrahedra")
 """Distributions in ``plugins/`` whose stages have pages, too."""
 BY_HAND = ("yaml.md", "python.md", "python-examples.md")
 # fmt: off

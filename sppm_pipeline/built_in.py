@@ -51,14 +51,20 @@ PLUGINS = {
         "field.elastic_texture", "field.organic", "field.spinodoid", "field.stochastic_gyroid", "field.struts",
         "field.tpms", "field.voronoi_foam",
     ),
+    "sppm-tetrahedra": (
+        "check.volume_mesh", "homogenize.tet", "mesh.boundary", "mesh.isosurface_stuffing", "read.volume_mesh",
+        "write.volume_mesh",
+    ),
     "sppm-tetwild": ("mesh.tetwild",),
 }  # fmt: skip
 """Stages of the distributions in the folder ``plugins`` of the repository, by distribution."""
 
-PLUGIN_OF = {stage: distribution for distribution, stages in PLUGINS.items() for stage in stages}
-"""The distribution of each of these stages."""
+PLUGIN_OF = {stage: distribution for distribution, stages in PLUGINS.items() for stage in stages} | dict.fromkeys(
+    ("write.inp", "write.msh", "write.vtu"), "sppm-tetrahedra"
+)
+"""The distribution of each of these stages, and of names that some of them had."""
 
-TYPES = {"CompressionCurve": "sppm_crushing", "CrushedBody": "sppm_crushing"}
+TYPES = {"CompressionCurve": "sppm_crushing", "CrushedBody": "sppm_crushing", "VolumeMesh": "sppm_tetrahedra"}
 """The module that has a type which these stages pass on."""
 
 

@@ -10,6 +10,7 @@ from sppm_pipeline.method.connectivity.components import PhaseReport as PhaseRep
 from sppm_pipeline.method.connectivity.components import find_components as find_components
 from sppm_pipeline.method.connectivity.components import paint_runs as paint_runs
 from sppm_pipeline.method.connectivity.components import phase_report as phase_report
+from sppm_pipeline.method.connectivity.removal import report_removal as report_removal
 from sppm_pipeline.method.connectivity.runs import Runs as Runs
 from sppm_pipeline.method.families.homogenizer import grids_below as grids_below
 from sppm_pipeline.method.families.homogenizer import per_phase as per_phase

@@ -6,7 +6,7 @@ from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 
-DOCUMENTED = ("sppm-crushing",)
+DOCUMENTED = ("sppm-crushing", "sppm-tetrahedra")
 """Plugins whose stages are treated as built-in ones are: they have reference pages, and meet the same tests."""
 
 _PLUGINS = load_plugins(BUILTINS, allowed=DOCUMENTED)

@@ -59,7 +59,7 @@ LONG = (
     "tests/engine/test_hostile_plugins.py",
     "tests/features/surface/test_extract_manifold_sdf.py",
     "tests/features/stiffness/test_exact_relations.py",
-    "tests/features/tetrahedra/test_tetrahedral.py",
+    "plugins/sppm-tetrahedra/tests/test_tetrahedral.py",
     "tests/method/connecting/test_bounded.py",
     "tests/method/stages/test_tile_scattered.py",
     "tests/test_determinism.py",

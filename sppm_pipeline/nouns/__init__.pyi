@@ -10,7 +10,6 @@ from sppm_pipeline.features.flow.permeability import ConductivityReport as Condu
 from sppm_pipeline.features.flow.permeability import PermeabilityReport as PermeabilityReport
 from sppm_pipeline.features.parts.part_result import PartResult as PartResult
 from sppm_pipeline.features.scans.statistics_report import StatisticsReport as StatisticsReport
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh as VolumeMesh
 from sppm_pipeline.hookspecs import Command as Command
 from sppm_pipeline.hookspecs import Comparison as Comparison
 from sppm_pipeline.hookspecs import Preset as Preset
@@ -57,6 +56,7 @@ from sppm_pipeline.method.slicing.slice_stack import Slab as Slab
 from sppm_pipeline.method.slicing.slice_stack import Slabs as Slabs
 from sppm_pipeline.method.tiling.lattice import Laid as Laid
 from sppm_pipeline.nouns.artifact import Surface as Surface
+from sppm_pipeline.nouns.artifact import optional_module as optional_module
 from sppm_pipeline.nouns.palette import Blocks as Blocks
 from sppm_pipeline.nouns.palette import KeptPores as KeptPores
 from sppm_pipeline.nouns.report import TEXT as TEXT

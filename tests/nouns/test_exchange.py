@@ -31,8 +31,6 @@ def test_meshes(wedge):
     assert ours.summary()["volume_mm3"] == pytest.approx(6)
     with pytest.raises(ValueError, match="does not exist"):
         sppm.SurfaceMesh.from_arrays(wedge.vertices, wedge.faces + 1)
-    tet = sppm.nouns.VolumeMesh.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
-    assert tet.volume == pytest.approx(1 / 6)
 
 
 def test_pores_and_tunnels():

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from sppm_tetrahedra.volume_mesh import VolumeMesh
 
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.nouns.voxels import Voxels

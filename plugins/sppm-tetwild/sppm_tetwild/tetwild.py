@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from sppm_tetrahedra import VolumeMesh
 
 from sppm_pipeline import Context, DesignError, InputError, Length, Stage, SurfaceMesh, option, options
-from sppm_pipeline.nouns import VolumeMesh
 
 FLAT = 1e-6
 """A mesh thinner than this share of its diagonal counts as flat."""

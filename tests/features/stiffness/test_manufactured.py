@@ -4,10 +4,10 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from sppm_tetrahedra.numerics.tetrahedral import aggregation, conjugate_gradients, rigid_modes
+from sppm_tetrahedra.numerics.tetrahedral_blocks import Blocks, assemble
 
 from sppm_pipeline.features.flow.numerics.conduction import conduction_hierarchy
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral import aggregation, conjugate_gradients, rigid_modes
-from sppm_pipeline.features.tetrahedra.numerics.tetrahedral_blocks import Blocks, assemble
 from sppm_pipeline.services.elastic.elastic_level import ElasticLevel, Moduli, grids_of
 from sppm_pipeline.services.multigrid.solver import Stop, solve
 

@@ -7,11 +7,11 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.features.stiffness.material_card import abaqus_constants
 from sppm_pipeline.features.stiffness.stages.write_stiffness import WriteStiffness
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.services.elastic.voigt import isotropic
 from sppm_pipeline.services.formats import ply
-from sppm_pipeline.services.formats.inp import abaqus_constants
 from sppm_pipeline.testing.plain_context import PlainContext
 from tests.conftest import cubic
 

@@ -120,7 +120,7 @@ class WriteFrames(Stage):
         """Draw and write."""
         from PIL import Image
 
-        from sppm_pipeline.formats import encode_hexahedra
+        from sppm_pipeline.formats import encode_cells
         from sppm_pipeline.pictures import Camera, contact_sheet, with_scale
 
         folder = context.output(self.path)
@@ -156,7 +156,7 @@ class WriteFrames(Stage):
                 left = ~body.frame_released[number] if body.frame_released.size else slice(None)
                 data = {"plastic_strain": body.frame_alpha[number][left], "phase": body.phases[left]}
                 with (folder / f"frame_{number:03}.vtu").open("wb") as file:
-                    file.writelines(encode_hexahedra(nodes, body.elements[left], data))
+                    file.writelines(encode_cells(nodes, body.elements[left], data))
         context.report(frames=total, plastic_strain_scale=top)
 
 

@@ -22,8 +22,7 @@ from sppm_pipeline.features.grading.laws import (
 )
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.arrays import F64, I64
-from sppm_pipeline.services.formats.hexahedra_file import LARGEST_FILE, READERS
-from sppm_pipeline.services.formats.input_file import library, require_file, third_party_reader
+from sppm_pipeline.services.formats.element_file import check_elements, read_elements
 
 _AXES = ("x", "y", "z")
 COMPONENTS = {
@@ -58,15 +57,11 @@ class GradeNodes(DataGrader):
 
     def check_options(self) -> None:
         super().check_options()
-        if self.path.suffix.lower() not in READERS:
-            raise ConfigError(f"`path` is {str(self.path)!r}; known are {', '.join(READERS)}")
+        check_elements(self.path)
 
     def data(self, context: Context, part: SurfaceMesh | None) -> NodesLaw:
         """Read the file, and make values at nodes of what it holds."""
-        require_file(self.path, LARGEST_FILE)
-        reader = library(f"meshio.{READERS[self.path.suffix.lower()]}", "volume")
-        with third_party_reader("meshio", self.path.name, "write the result again, perhaps as VTU"):
-            read = reader.read(self.path)
+        read = read_elements(self.path, "write the result again, perhaps as VTU")
         points = np.asarray(read.points, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError(f"{self.path.name}: the nodes are no finite points in space")

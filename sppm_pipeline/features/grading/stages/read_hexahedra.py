@@ -10,21 +10,16 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 from sppm_pipeline import Context, Palette, Size, Stage, SurfaceMesh, option, options
-from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
+from sppm_pipeline.features.grading.hexahedra_file import Hexahedra, read_hexahedra
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import boundary_triangles, checked_mesh, split
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.nouns.size import Geometry
-from sppm_pipeline.services.formats.hexahedra_file import READERS, Hexahedra, read_hexahedra
+from sppm_pipeline.services.formats.element_file import check_elements
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.grading.numerics.hexahedral_mesh import HexahedralMesh
-
-
-def check_path(path: Path) -> None:
-    """Raise `ConfigError` if a file is of no kind that holds hexahedra."""
-    if path.suffix.lower() not in READERS:
-        raise ConfigError(f"`path` is {str(path)!r}; known are {', '.join(READERS)}")
 
 
 def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = None) -> HexahedralMesh:
@@ -119,7 +114,7 @@ class ReadHexahedra(Stage):
     )
 
     def check_options(self) -> None:
-        check_path(self.path)
+        check_elements(self.path)
 
     def estimate(self, palette: Palette) -> Size:
         mesh = size_of_mesh(self.path, self.unit)

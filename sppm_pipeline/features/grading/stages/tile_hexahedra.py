@@ -10,12 +10,13 @@ from typing import ClassVar
 from sppm_pipeline import Length, Palette, RecipeSize, Size, Tiling, options
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.grading.curved_porosity import FINER, FINEST, most_samples
+from sppm_pipeline.features.grading.hexahedra_file import read_hexahedra
 from sppm_pipeline.features.grading.hexahedral_cloud import RIM, HexahedralCloud
 from sppm_pipeline.features.grading.rounds import trial
-from sppm_pipeline.features.grading.stages.read_hexahedra import cells_of_mesh, check_path, size_of_mesh
+from sppm_pipeline.features.grading.stages.read_hexahedra import cells_of_mesh, size_of_mesh
 from sppm_pipeline.method.families.tiler import TRIAL_BLOCKS
 from sppm_pipeline.method.nouns.maps import Grading
-from sppm_pipeline.services.formats.hexahedra_file import read_hexahedra
+from sppm_pipeline.services.formats.element_file import check_elements
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 NOT_FOLLOWED = ("scale", "spacing", "pore_radius", "tunnel_radius", "stretch", "stretch_across")
@@ -65,7 +66,7 @@ class HexahedralTiling(Stage):
     trials: int = options.trials(3, note="of the curve, with a porosity")
 
     def check_options(self) -> None:
-        check_path(self.path)
+        check_elements(self.path)
         if self.cell is not None and self.sizes == "cell":
             raise ConfigError(
                 "`cell` is an edge in mm, but sizes follow the mesh", hint="leave out `cell`, or give `sizes: fixed`"

@@ -13,14 +13,15 @@ import numpy as np
 
 from sppm_pipeline import ConfigError, Context, InputError, ScalarField, Tiling, options
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells, Mapped
+from sppm_pipeline.features.grading.hexahedra_file import Hexahedra, read_hexahedra
 from sppm_pipeline.features.grading.numerics.hexahedral_mesh import PLACES
 from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
-from sppm_pipeline.features.grading.stages.read_hexahedra import check_path, mesh_of, warn_of_order
+from sppm_pipeline.features.grading.stages.read_hexahedra import mesh_of, warn_of_order
 from sppm_pipeline.features.grading.warped_field import has_cubic_symmetry
 from sppm_pipeline.features.grading.warper import Warper
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.services.arrays import F64, I64
-from sppm_pipeline.services.formats.hexahedra_file import Hexahedra, read_hexahedra
+from sppm_pipeline.services.formats.element_file import check_elements
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.grading.numerics.hexahedral_mesh import HexahedralMesh
@@ -118,7 +119,7 @@ class WarpHexahedra(Warper):
     unit: str = options.unit("mm", note="of the nodes")
 
     def check_options(self) -> None:
-        check_path(self.path)
+        check_elements(self.path)
 
     @cached_property
     def _read(self) -> Hexahedra:

@@ -210,7 +210,7 @@ class SimulatePart(LoadedPart):
 
     def _write_mesh(self, context: Context, model: Model, full: Any) -> None:
         """Write a VTU file of the elements; displacements are those of their middles."""
-        from sppm_pipeline.formats import encode_hexahedra
+        from sppm_pipeline.formats import encode_cells
 
         assert self.mesh is not None
         body = model.body
@@ -228,4 +228,4 @@ class SimulatePart(LoadedPart):
             data["density"] = model.walls[body.solid]
         with context.output(self.mesh).open("wb") as file:
             points, bricks = body.points(nodes).astype(np.float32), cells.reshape(corners.shape).astype(np.int32)
-            file.writelines(encode_hexahedra(points, bricks, data))
+            file.writelines(encode_cells(points, bricks, data))

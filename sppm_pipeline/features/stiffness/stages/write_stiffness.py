@@ -39,9 +39,9 @@ class WriteStiffness(Stage):
         """Write everything."""
         from PIL import Image
 
+        from sppm_pipeline.features.stiffness.material_card import abaqus_card
         from sppm_pipeline.services.elastic.directional import sphere_mesh, young_along
         from sppm_pipeline.services.formats import ply
-        from sppm_pipeline.services.formats.inp import abaqus_card
 
         folder = context.output(self.path)
         folder.mkdir(parents=True)
@@ -69,7 +69,7 @@ class WriteStiffness(Stage):
 
 def _error_bars(report: StiffnessReport) -> list[str]:
     """Comments on how far the constants of the card may be from those of a fine grid."""
-    from sppm_pipeline.services.formats.inp import abaqus_constants
+    from sppm_pipeline.features.stiffness.material_card import abaqus_constants
 
     if report.error is None:
         return ["error of the grid: not estimated (homogenize.voxel does with grids: 2 or 3)"]

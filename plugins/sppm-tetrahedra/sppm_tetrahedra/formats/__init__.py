@@ -1,0 +1,1 @@
+"""Formats of volume meshes: arrays in, pieces of a file out."""
