@@ -101,37 +101,45 @@ def test_says_how_it_is_found_and_licensed(folder: Path) -> None:
 def test_the_program_knows_whose_a_stage_is() -> None:
     owners = {f"sppm-{name.replace('_', '-')}": stages for name, stages in STAGES.items() if stages}
     assert {name: set(stages) for name, stages in built_in.PLUGINS.items()} == owners
-    assert {import_module(module).__name__ for module in built_in.TYPES.values()} == {"sppm_crushing"}
-    assert set(built_in.TYPES) <= set(import_module("sppm_crushing").__all__)
+    former = {f"sppm-{one.name}": set(one.aliases) for one in load_plugins().plugins if one.aliases and not one.builtin}
+    assert {name: owners[name] | former.get(name, set()) for name in owners} == {
+        owner: {name for name, of in built_in.PLUGIN_OF.items() if of == owner} for owner in owners
+    }
+    assert all(name in import_module(module).__all__ for name, module in built_in.TYPES.items())
 
 
-WITHOUT = "which is not installed: `pip install sppm-crushing`, or `pip install ./plugins/sppm-crushing` in a clone"
+WITHOUT = "which is not installed: `pip install {0}`, or `pip install ./plugins/{0}` in a clone"
 
 
 @pytest.fixture
-def without_crushing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if sppm-crushing were not installed."""
+def without_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if sppm-crushing and sppm-tetrahedra were not installed."""
     everything = installed.entry_points
-    left = lambda group: [one for one in everything(group) if one.name != "crushing"]  # noqa: E731
+    left = lambda group: [one for one in everything(group) if one.name not in ("crushing", "tetrahedra")]  # noqa: E731
     monkeypatch.setattr(installed, "entry_points", left)
 
 
 @pytest.mark.parametrize(
-    "pipeline",
+    ("plugin", "pipeline"),
     [
-        "crush.voxel",
-        "{stage: crush.voxel, id: a}, {stage: measure.compression, from: a}, {stage: write.curves, from: a}",
-        "{stage: read.compression, path: a.csv}",
+        ("sppm-crushing", "crush.voxel"),
+        (
+            "sppm-crushing",
+            "{stage: crush.voxel, id: a}, {stage: measure.compression, from: a}, {stage: write.curves, from: a}",
+        ),
+        ("sppm-crushing", "{stage: read.compression, path: a.csv}"),
+        ("sppm-tetrahedra", "mesh.isosurface_stuffing, check.volume_mesh, write.volume_mesh"),
+        ("sppm-tetrahedra", "{stage: read.volume_mesh, path: a.vtu}, write.vtu, write.inp, write.msh"),
     ],
 )
-@pytest.mark.usefixtures("without_crushing")
-def test_a_stage_of_a_plugin_that_is_not_there_says_what_to_install(pipeline: str) -> None:
+@pytest.mark.usefixtures("without_plugins")
+def test_a_stage_of_a_plugin_that_is_not_there_says_what_to_install(plugin: str, pipeline: str) -> None:
     with pytest.raises(sppm.ConfigError) as caught:
         open_session(RunRequest("a.yaml", text=f"sppm: 1\npipeline: [{pipeline}]\n")).plan()
     lines = str(caught.value).splitlines()
     assert all("there is no stage '" in line for line in lines[:-1])
     # once, however many of its stages are used
-    assert lines[-1] == f"  hint: part of the plugin sppm-crushing, {WITHOUT}"
+    assert lines[-1] == f"  hint: part of the plugin {plugin}, {WITHOUT.format(plugin)}"
 
 
 def test_a_stage_of_a_plugin_that_is_switched_off_says_so() -> None:
@@ -140,7 +148,7 @@ def test_a_stage_of_a_plugin_that_is_switched_off_says_so() -> None:
             Registry(load_plugins(**found)).get("crush.voxel")
 
 
-@pytest.mark.usefixtures("without_crushing")
+@pytest.mark.usefixtures("without_plugins")
 def test_python_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sppm_pipeline.engine.api.functions.registry", lambda: Registry(load_plugins()))
     family_of.cache_clear()
@@ -148,12 +156,14 @@ def test_python_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not hasattr(family, "voxel")
         with pytest.raises(sppm.ConfigError, match="there is no stage 'crush\\.voxel'") as caught:
             family.voxel(resolution=8)
-        assert WITHOUT in str(caught.value)
+        assert WITHOUT.format("sppm-crushing") in str(caught.value)
     family_of.cache_clear()
     for name in FAMILIES:  # the face keeps those that it has shown
         vars(sppm).pop(name, None)
     with pytest.raises(AttributeError, match=r"it is sppm_crushing.CrushedBody, .*`pip install sppm-crushing`"):
         getattr(sppm.nouns, "CrushedBody")  # noqa: B009
+    with pytest.raises(AttributeError, match=r"it is sppm_tetrahedra.VolumeMesh, .*`pip install sppm-tetrahedra`"):
+        getattr(sppm.nouns, "VolumeMesh")  # noqa: B009
 
 
 def test_the_program_lists_them(capsys: pytest.CaptureFixture[str]) -> None:

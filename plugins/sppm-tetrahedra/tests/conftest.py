@@ -1,8 +1,23 @@
-"""Lattices of known functions and of noise."""
+"""Lattices of known functions and of noise, and small structures."""
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from sppm_tetrahedra.numerics.lattice import doubled_grid
+
+from sppm_pipeline import Length, SurfaceMesh
+from sppm_pipeline.method.part import primitive_meshes
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tile_wang_3color import WangTiling
+from sppm_pipeline.method.stages.tileset_wang_3color import WangTileSet
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+# the same examples each time, however long a busy machine takes for one of them
+settings.register_profile("tetrahedra", deadline=None, derandomize=True)
+settings.load_profile("tetrahedra")
 
 
 def lattice_of(function, n, periodic=True):
@@ -36,3 +51,37 @@ def lattice():
 @pytest.fixture(scope="session")
 def noise():
     return noise_of
+
+
+def small_recipe():
+    """A recipe whose cells are drawn in milliseconds, as in the tests of the program."""
+    return recipe_of(
+        MirroredFaces(count=9, spacing=Length(0.2)),
+        DartThrowing(count=12, spacing=Length(0.2)),
+        BoundedDegreeSubgraph(degree=(2, 4), mode="greedy"),
+        GaussianField(pore_radius=Length(0.14), tunnel_radius=Length(0.05)),
+    )
+
+
+@pytest.fixture(scope="session")
+def recipe():
+    return small_recipe
+
+
+@pytest.fixture(scope="session")
+def cell():
+    """One periodic cell."""
+    return small_recipe().run(PlainContext(3))
+
+
+@pytest.fixture(scope="session")
+def wang_tiling():
+    """4 x 3 x 3 cells of 4 mm by the paper's rules."""
+    wang = WangTileSet(colors=2, porosity=0.5, resolution=24, tolerance=0.01).run(PlainContext(4), small_recipe())
+    return WangTiling(cells=(4, 3, 3), cell=Length(4, "mm")).run(PlainContext(5), wang, None)
+
+
+@pytest.fixture(scope="session")
+def ball():
+    """A ball with a diameter of 10 mm around (5, 5, 5)."""
+    return SurfaceMesh(*primitive_meshes.ball_mesh((5.0, 5.0, 5.0), 5.0, 3), name="ball")
