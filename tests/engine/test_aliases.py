@@ -161,4 +161,4 @@ def test_built_in_former_names_lead_to_stages_there_are():
 
     targets = [alias if isinstance(alias, str) else alias.name for alias in STAGE_ALIASES.values()]
     assert set(targets) <= set(STAGES)
-    assert not set(STAGE_ALIASES) & set(BUILT_IN)
+    assert not set(STAGE_ALIASES) & set(STAGES)
