@@ -20,10 +20,17 @@ from pathlib import Path
 
 import pytest
 
+from sppm_pipeline.engine.plan.kernels import kernels_of, listed_kernels, stages_of
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.services.jit import compiling, machine_code
+from sppm_pipeline.services.jit.kernel_cache import kernel_cache_folder, source_of
+
 ROOT = Path(__file__).resolve().parents[1]
 _spec = importlib.util.spec_from_file_location("release", ROOT / ".ci" / "release.py")
 release = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(release)
+OWN = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+"""What programs of the fresh environment inherit: no folder of these sources."""
 KNOWN = {"repository": "https://forge.example/sppm/sppm_pipeline", "contact": "security@sppm.example"}
 
 
@@ -61,11 +68,34 @@ def run(environment: Path, folder: Path, *arguments: str) -> subprocess.Complete
     return subprocess.run(
         [str(environment / "bin" / "python"), "-m", "sppm_pipeline", *arguments],
         cwd=folder, capture_output=True, text=True, timeout=600,
-        env={**os.environ, "SPPM_CACHE": str(folder / "cache")},  # a report takes the field of its live view from there
+        # a report takes the field of its live view from the cache
+        env={**OWN, "SPPM_CACHE": str(folder / "cache"), "NUMBA_CACHE_DIR": str(folder / "kernels")},
     )  # fmt: skip
 
 
-def test_the_wheel_runs_the_quickstart_from_another_folder(environment, tmp_path):
+@pytest.fixture(scope="module")
+def shipped(environment) -> set[str]:
+    """Kernels of the quickstart, as `package.module:name`, whose machine code is made here and installed there."""
+    if not machine_code.usable() or machine_code.target() != machine_code.LEVEL:
+        return set()
+    plan = open_session(RunRequest(str(ROOT / "configs" / "quickstart.yaml"))).plan()
+    kernels = kernels_of(stages_of(plan), listed_kernels())
+    libraries = Path(sysconfig.get_path("purelib", vars={"base": str(environment)}))
+    folder = libraries / machine_code.SHIPPED
+    folder.mkdir(mode=0o755)
+    (folder / "__init__.py").touch()
+    for kernel in kernels:
+        source, name = source_of(kernel.place)
+        there = kernel_cache_folder(source)
+        if len(list(there.glob(f"{name}-*.code"))) < len(kernel.signatures):
+            compiling.compile_kernel(kernel.place, kernel.signatures)
+        for file in there.glob(f"{name}-*.code"):
+            shutil.copy(file, folder)
+    return {kernel.place for kernel in kernels}
+
+
+def test_the_wheel_runs_the_quickstart_from_another_folder(environment, shipped, tmp_path):
+    """Its kernels have the machine code that was made of the sources here, but for those of one run."""
     found = run(
         environment, tmp_path, "run", "quickstart", "-q", "--until", "write.png", "--report",
         "-s", "read.primitive.size=[8 mm, 8 mm, 8 mm]", "-s", "slice.field.pixel=0.2 mm",
@@ -79,9 +109,12 @@ def test_the_wheel_runs_the_quickstart_from_another_folder(environment, tmp_path
     assert 'id="live-canvas"' in report
     where = subprocess.run(
         [str(environment / "bin" / "python"), "-c", "import sppm_pipeline; print(sppm_pipeline.__file__)"],
-        cwd=tmp_path, capture_output=True, text=True, check=True,
+        cwd=tmp_path, capture_output=True, text=True, check=True, env=OWN,
     )  # fmt: skip
     assert Path(where.stdout.strip()).is_relative_to(environment)
+    compiled = {file.name.partition("-")[0] for file in (tmp_path / "kernels").rglob("*.code")}
+    assert compiled
+    assert compiled.isdisjoint(place.partition(":")[2] for place in shipped)
 
 
 def test_each_example_is_found_by_name(environment, tmp_path):
@@ -89,7 +122,11 @@ def test_each_example_is_found_by_name(environment, tmp_path):
     code += "for name in sys.argv[1:]: print(find(name))"
     names = [file.stem for folder in ("configs", "examples") for file in sorted((ROOT / folder).glob("*.yaml"))]
     found = subprocess.run(
-        [str(environment / "bin" / "python"), "-c", code, *names], cwd=tmp_path, capture_output=True, text=True
+        [str(environment / "bin" / "python"), "-c", code, *names],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=OWN,
     )
     assert found.stderr == ""
     paths = [Path(line) for line in found.stdout.split()]

@@ -19,8 +19,10 @@ def test_every_stage_has_an_example():
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_run(path, tmp_path):
-    coarse = ["-p", "resolution=32", "-s", "slice.field.pixel=0.8 mm"]
+    coarse = ["-p", "resolution=32", "-s", "slice.field.pixel=0.8 mm", "-s", "read.primitive.size=[12 mm, 12 mm, 8 mm]"]
     text = path.read_text(encoding="utf-8")
+    if "image_size" in text:
+        coarse += ["-s", "write.picture.image_size=[140, 90]"]
     coarse += ["-s", f"{'fill.implicit' if 'fill.implicit' in text else 'slice.field'}.islands=keep"]
     if "tune.porosity" in text:
         coarse += ["-s", "tune.porosity.tolerance=0.01"]
