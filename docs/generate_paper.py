@@ -28,7 +28,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import copy
 import csv
+import functools
 import hashlib
 import io
 import json
@@ -102,9 +104,14 @@ class Stored(NamedTuple):
     rows: list[dict[str, Any]]
 
 
+@functools.cache
+def _document_of(name: str) -> dict[str, Any]:
+    return dict(YAML(typ="safe").load((ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")))
+
+
 def document_of(name: str) -> dict[str, Any]:
     """A configuration as it stands in its file."""
-    return dict(YAML(typ="safe").load((ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")))
+    return copy.deepcopy(_document_of(name))
 
 
 def notes_of(name: str) -> dict[str, Any]:

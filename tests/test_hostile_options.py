@@ -376,7 +376,7 @@ def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(na
     readings = "".join(f"{min(400 * d, 800 + 20 * d)},{d}\n" for d in (i / 50 for i in range(500)))
     (tmp_path / "test.csv").write_text(f"Force (N),Displacement (mm)\n{readings}", encoding="utf-8")
     (tmp_path / "part.stl").write_bytes(b"".join(stl.encode(ball.vertices, ball.faces)))
-    path = tmp_path / "config.yaml"
+    path, done = tmp_path / "config.yaml", set()
     for option in options_of(stage_class(name)).values():
         for value in dict.fromkeys(ends(option)) if (name, option.name) not in LARGE else ():
             text, _ = document(name, option.name, value)
@@ -385,7 +385,11 @@ def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(na
             before = signal.signal(signal.SIGPROF, too_slow)
             signal.setitimer(signal.ITIMER_PROF, LONGEST)
             try:
-                run_plan(plan_of(path), tmp_path / "out", threads=1)
+                plan = plan_of(path)
+                stages = repr([step.stage for step in plan.steps])
+                if stages not in done:  # an end may be the default, or what the place gives
+                    run_plan(plan, tmp_path / "out", threads=1)
+                    done.add(stages)
             except SppmError as error:
                 failed = error
             finally:

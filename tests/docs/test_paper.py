@@ -18,9 +18,9 @@ from tests.docs.conftest import ROOT, script
 
 generator = script("generate_paper")
 NAMES = generator.RUN
-CHEAP = [name for name in NAMES if "cheap" in generator.notes_of(name)]
 DEAR = {"bunny"}
 """Configurations of which no part is computed again: the mesh is not part of the repository."""
+CHEAP = [name for name in NAMES if name not in DEAR]
 
 
 def test_pages_are_those_of_the_stored_numbers() -> None:
@@ -28,7 +28,7 @@ def test_pages_are_those_of_the_stored_numbers() -> None:
 
 
 def test_every_result_is_computed_again() -> None:
-    assert set(NAMES) - set(CHEAP) == DEAR
+    assert {name for name in NAMES if "cheap" not in generator.notes_of(name)} == DEAR
 
 
 @pytest.mark.parametrize("name", CHEAP)

@@ -135,12 +135,14 @@ def throw_blocks(
         check_block_spacing(float(quotas.max(initial=0)), spacing)
     first = np.concatenate([[0], np.cumsum(quotas.ravel())])
     centers = np.empty((int(first[-1]), 3))
-    old = before if before is not None else (np.zeros((0, 3)), np.zeros(quotas.size + 1, np.int64))
+    old_centers, old_first = before if before is not None else (np.zeros((0, 3)), np.zeros(quotas.size + 1, np.int64))
+    old_centers = old_centers.view()
+    old_centers.flags.writeable = False  # as of pores that are shared: one kind of argument is compiled once
     streams = hash_places(seed, INTERIOR, *np.ogrid[tuple(slice(n) for n in shape)]).ravel()
     colors = block_colors(shape, periodic).ravel()
     # an axis along which the only block is its own neighbor repeats inside the cell list
     wraps = np.array([periodic and n == 1 for n in shape])
-    most = int((quotas.ravel() + np.diff(old[1])).max(initial=0))
+    most = int((quotas.ravel() + np.diff(old_first)).max(initial=0))
     # memory for one block and what lies around it within the widest spacing, however large the lattice; no packing of
     # balls is denser than pi / sqrt(18)
     rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
@@ -149,7 +151,7 @@ def throw_blocks(
 
     def throw(blocks: I64) -> None:
         cells = empty_cell_list(rows, widest, np.zeros(3), np.ones(3), wraps.tolist())
-        lattice = (blocks, np.array(shape), periodic, wraps, streams, first, centers, *old)
+        lattice = (blocks, np.array(shape), periodic, wraps, streams, first, centers, old_centers, old_first)
         _throw_in_turn(cells, *lattice, of_darts, of_spacings, of_metrics, spacing, naive, missing)
 
     # blocks of one color are not neighbors, so that any thread may throw any of them

@@ -34,8 +34,8 @@ class Waves(FormulaField):
 
 
 def waves(seed, power, porosity, **place):
-    field = Waves(seed=seed, power=power, **place)
-    return Waves(seed=seed, power=power, level=float(np.quantile(field.sample(32), 1 - porosity)), **place)
+    cell = Waves(seed=seed, power=power)  # which repeats
+    return Waves(seed=seed, power=power, level=float(np.quantile(cell.sample(32), 1 - porosity)), **place)
 
 
 def maps(**formulas):
