@@ -102,7 +102,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "design.stiffness": (
         [], "recipe: cell, E: 0.1, nu: 0.25, porosity: 0.5, vary: [pore_radius], low: [0.13], high: [0.2], "
         "search_draws: 1, draws: 3, resolution: 24, max_distance: 0.9", []),
-    "tune.tensor": ([], "recipe: cell, resolution: 24, periods: 1, evaluations: 4, trials: 1, max_distance: 0.9", []),
+    "tune.tensor": ([], "recipe: cell, resolution: 24, periods: 1, evaluations: 3, trials: 1, max_distance: 0.9", []),
     "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, trials: 1, evaluations: 4", []),
     "tune.stiffness": (
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",

@@ -126,13 +126,6 @@ def two_workers():
         yield cluster
 
 
-@pytest.fixture
-def cluster():
-    """Two workers in the hands of the test."""
-    with two_workers() as cluster:
-        yield cluster
-
-
 @pytest.fixture(scope="module")
 def lasting():
     """Two workers of several tests, which may kill some: others take their places."""
@@ -172,19 +165,23 @@ def statuses(record) -> list[str]:
 # what a worker is made to run
 ANOTHER_PROGRAM = """
 from sppm_pipeline.engine.run import workers
-workers.program_digest = lambda: "0" * 64
+workers.own_digest, workers.program_digest = workers.program_digest, lambda: "0" * 64
+"""
+THEIR_OWN = """
+from sppm_pipeline.engine.run import workers
+workers.program_digest = workers.own_digest
 """
 
 
-def test_eighty_rows_have_the_bytes_of_a_serial_sweep_though_a_worker_is_killed(lasting, tmp_path):
-    file = prepare(tmp_path, 80)
+def test_forty_rows_have_the_bytes_of_a_serial_sweep_though_a_worker_is_killed(lasting, tmp_path):
+    file = prepare(tmp_path, 40)
     serial, alone = swept(file, "serial", "serial")
-    (tmp_path / "once-41").touch()
+    (tmp_path / "once-21").touch()
     record, folder = swept(file, "cluster", f"dask:{lasting.scheduler_address}")
-    assert not (tmp_path / "once-41").exists()  # the worker has died
-    assert statuses(serial) == statuses(record) == ["done"] * 80
+    assert not (tmp_path / "once-21").exists()  # the worker has died
+    assert statuses(serial) == statuses(record) == ["done"] * 40
     assert outputs(alone) == outputs(folder)
-    assert len(outputs(alone)) == 80 + 3
+    assert len(outputs(alone)) == 40 + 3
 
 
 def test_a_deadly_row_fails_alone(lasting, tmp_path):
@@ -197,16 +194,16 @@ def test_a_deadly_row_fails_alone(lasting, tmp_path):
     assert [bool(row["error"]) for row in table_of(folder)] == [False, False, True, False, False, False]
 
 
-def test_a_stopped_row_is_ended_once_and_named(cluster, tmp_path, monkeypatch):
+def test_a_stopped_row_is_ended_once_and_named(lasting, tmp_path, monkeypatch):
     file = prepare(tmp_path, 4, "stops-1")
     monkeypatch.setenv(containment.STAGE_TIME, "20")  # which the workers, started before, have not inherited
-    record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}")
+    record, folder = swept(file, "out", f"dask:{lasting.scheduler_address}")
     assert statuses(record) == ["done", "failed", "done", "done"]
     assert record["runs"][1]["attempts"] == 1
     assert "the stage 'check.trouble' took longer than the 20 seconds" in table_of(folder)[1]["error"]
 
 
-def test_workers_that_are_gone_are_reported(cluster, tmp_path, monkeypatch):
+def test_workers_that_are_gone_are_reported(lasting, tmp_path, monkeypatch):
     monkeypatch.setattr("sppm_dask.executor.WITHOUT_WORKERS", 1.0)
     file = prepare(tmp_path, 2)
 
@@ -215,11 +212,11 @@ def test_workers_that_are_gone_are_reported(cluster, tmp_path, monkeypatch):
 
         def warning(self, stage, message):
             self.messages.append(message)
-            cluster.scale(2)
+            lasting.scale(2)
 
-    address = cluster.scheduler_address
-    cluster.scale(0)
-    while cluster.scheduler.workers:
+    address = lasting.scheduler_address
+    lasting.scale(0)
+    while lasting.scheduler.workers:
         time.sleep(0.05)
     record, _ = swept(file, "out", f"dask:{address}", monitor=Noting())
     assert statuses(record) == ["done"] * 2
@@ -252,16 +249,19 @@ def test_a_scheduler_that_is_gone_prints_no_traceback(tmp_path):
     assert len(table_of(tmp_path / "out")) == 4
 
 
-def test_workers_with_another_program_are_refused(cluster, tmp_path):
+def test_workers_with_another_program_are_refused(lasting, tmp_path):
     file = prepare(tmp_path, 3)
-    with Client(cluster, set_as_default=False) as client:
+    with Client(lasting, set_as_default=False) as client:
         client.run(exec, ANOTHER_PROGRAM)
-    with pytest.raises(ConfigError, match="sppm_pipeline with the digest 000000000000 instead of"):
-        swept(file, "out", f"dask:{cluster.scheduler_address}")
+        try:
+            with pytest.raises(ConfigError, match="sppm_pipeline with the digest 000000000000 instead of"):
+                swept(file, "out", f"dask:{lasting.scheduler_address}")
+        finally:
+            client.run(exec, THEIR_OWN)
     assert ["is not that of" in row["error"] for row in table_of(tmp_path / "out")] == [True] * 3
 
 
-def test_a_scheduler_that_goes_leaves_a_table_and_the_sweep_goes_on_later(cluster, tmp_path):
+def test_a_scheduler_that_goes_leaves_a_table_and_the_sweep_goes_on_later(tmp_path):
     file = prepare(tmp_path, 8)
     _, alone = swept(file, "serial", "serial")
     for row in range(5, 8):
@@ -276,7 +276,8 @@ def test_a_scheduler_that_goes_leaves_a_table_and_the_sweep_goes_on_later(cluste
                 threading.Thread(target=cluster.close, daemon=True).start()
 
     cache = tmp_path / "cache"
-    record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}", cache=cache, monitor=Closing())
+    with two_workers() as cluster:
+        record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}", cache=cache, monitor=Closing())
     assert statuses(record)[5:] == ["failed"] * 3
     assert statuses(record).count("done") >= 4
     assert all("scheduler is gone" in row["error"] for row in table_of(folder)[5:])
