@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Python compiles what it imports, a tenth
+PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
 
 .PHONY: quickstart test coverage test-oldest docs paper lock clean
 
@@ -51,12 +53,13 @@ $(VENV)/.installed: pyproject.toml
 	@echo "== making a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
 	@echo "== installing the program and its libraries there"
-	$(BIN)/pip install --disable-pip-version-check --no-compile --editable .  # Python compiles what it imports, a tenth
+	$(BIN)/pip install $(filter-out --quiet,$(PIP_OPTIONS)) --editable .
 	touch $@
 
 $(VENV)/.installed-tests: pyproject.toml $(wildcard plugins/*/pyproject.toml)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable ".[test]" $(foreach plugin,$(wildcard plugins/*/pyproject.toml),--editable $(dir $(plugin)))
+	$(BIN)/pip install $(PIP_OPTIONS) "setuptools>=68" "hatchling>=1.27" editables  # once for all that is built
+	$(BIN)/pip install $(PIP_OPTIONS) --no-build-isolation --editable ".[test]" $(foreach plugin,$(wildcard plugins/*/pyproject.toml),--editable $(dir $(plugin)))
 	touch $(VENV)/.installed $@
 
 $(VENV)/.installed-docs: pyproject.toml

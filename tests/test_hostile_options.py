@@ -41,6 +41,7 @@ SET = "  - {stage: tileset.wang_3color, recipe: cell, colors: 1, resolution: 8}"
 FREE = "  - {stage: tileset.free_faces, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
 CORNER = "  - {stage: tileset.corner_colors, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
 BOX = "  - {stage: read.primitive, shape: box, size: [3, 3, 3]}"
+FLAT = "  - {stage: read.primitive, shape: box, size: [3, 3, 0.4]}"
 BALL = "  - {stage: read.primitive, id: ball, shape: ball, size: [1, 1, 1]}"
 TILED = [SET, "  - {stage: tile.wang_3color, cells: [2, 1, 1], cell: 2 mm}"]
 AS_CELL = [line[2:] for line in CELL]
@@ -191,9 +192,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.svg": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
     "write.cli": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
     "slice.plate": ([BOX, "  - {stage: slice.mesh, pixel: 0.25}"], "quantity: [2]", ["  - write.png"]),
-    "write.sl1": ([BOX, "  - {stage: slice.mesh, printer: prusa_sl1s, layer: 0.1 mm}"], "", []),
-    "write.goo": ([BOX, "  - {stage: slice.mesh, printer: elegoo_mars_4_dlp, layer: 0.2 mm}"], "", []),
-    "write.nanodlp": ([BOX, "  - {stage: slice.mesh, printer: concepts3d_athena_8k, layer: 0.2 mm}"], "", []),
+    "write.sl1": ([FLAT, "  - {stage: slice.mesh, printer: prusa_sl1s, layer: 0.1 mm}"], "", []),
+    "write.goo": ([FLAT, "  - {stage: slice.mesh, printer: elegoo_mars_4_dlp, layer: 0.2 mm}"], "", []),
+    "write.nanodlp": ([FLAT, "  - {stage: slice.mesh, printer: concepts3d_athena_8k, layer: 0.2 mm}"], "", []),
     "write.mesh": ([BOX], "", []),
     "write.project": ([BOX], "settings: ['body: perimeters = 2']", []),
     "write.volume_mesh": (VOLUME, "", []),
@@ -251,8 +252,8 @@ def test_every_stage_is_tested():
     assert set(PLACES) | NO_PIPELINE >= set(STAGES)
 
 
-def document(name: str, option: str, value: str) -> tuple[str, int]:
-    """A configuration with one option of one stage set; and the line it stands in."""
+def document(name: str, option: str, value: str, alone: bool = False) -> tuple[str, int]:
+    """A configuration with one option of one stage set; and the line it stands in. It can't run if that is `alone`."""
     before, given, after = PLACES[name]
     options = [] if not given else [part for part in _split(given) if part.split(":")[0].strip() != option]
     entry = "  - {" + ", ".join([f"stage: {name}", *options, f"{option}: {value}"]) + "}"
@@ -261,6 +262,8 @@ def document(name: str, option: str, value: str) -> tuple[str, int]:
     used = [text for name, text in (("cell", RECIPE), ("counted", GRADED)) if f"recipe: {name}" in named]
     recipes = ["recipes:", *"".join(used).splitlines()] if used else []
     head = ["sppm: 1", *recipes, "pipeline:"]
+    if alone:
+        before = after = []
     return "\n".join([*head, *before, entry, *after]) + "\n", len(head) + len(before) + 1
 
 
@@ -305,13 +308,17 @@ def test_hostile_values(name, tmp_path, request):
             continue
         # every option meets a third of the values, and each stage and each type of option all of them
         for value in HOSTILE[i % 3 :: 3]:
-            text, line = document(name, option.name, value)
-            path.write_text(text, encoding="utf-8")
-            refused = None
-            try:
-                plan = plan_of(path)
-            except ConfigError as error:
-                refused = error
+            # options are read before stages are wired, so that most values are refused where nothing else stands
+            for alone in (True, False):
+                text, line = document(name, option.name, value, alone)
+                path.write_text(text, encoding="utf-8")
+                refused = None
+                try:
+                    plan = plan_of(path)
+                except ConfigError as error:
+                    refused = error
+                if f"option {option.name!r}" in str(refused):
+                    break
             if refused is not None:
                 errors = refused.errors if isinstance(refused, ConfigErrors) else (refused,)
                 assert all(one.where is not None and one.where.line == line for one in errors), (value, str(refused))

@@ -69,13 +69,11 @@ LICENSES = {"sppm-pymeshlab": ("GPL-3.0-or-later", "GNU GENERAL PUBLIC LICENSE")
 @pytest.mark.parametrize("folder", PLUGINS, ids=lambda path: path.name)
 def test_own_suite_passes(folder: Path) -> None:
     # a process of its own: the suite, with its own settings, is what somebody finds who gets this folder alone
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
     # a suite that is run file by file beside the others is only looked at
     apart = ["--collect-only"] if f"plugins/{folder.name}/tests" in COLLECTED["testpaths"] else []
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *apart],
         cwd=folder,
-        env=environment,
         capture_output=True,
         text=True,
         check=False,
