@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import ConfigError, Context, FieldMaker, Length, ScalarField, option
-from sppm_structures.struts import StrutField
+from sppm_pipeline import ConfigError, Context, FieldMaker, Length, Palette, ScalarField, Size, option
+from sppm_structures.struts import StrutField, size_of_struts
 from sppm_structures.textures import TEXTURES, Texture, read_pattern, read_weights, texture_graph
 
 LARGEST_RADIUS = 0.25
@@ -57,6 +57,10 @@ class ElasticTexture(FieldMaker):
             read_weights(self.weights, "weights", nodes, False),
             {node: size for node, (size,) in sizes.items()},
         )
+
+    def estimate(self, palette: Palette) -> Size:
+        graph, blend = texture_graph(self._texture()), self.in_cells(self.blend)
+        return size_of_struts(self.edge_mm, graph, self.in_cells(self.radius), blend, self.repeat)
 
     def run(self, context: Context) -> ScalarField:
         """Mirror the graph; the field is evaluated where it is sampled."""

@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, Length, ScalarField, SurfaceMesh, options
+from sppm_pipeline import ConfigError, Context, Length, Palette, ScalarField, Size, SurfaceMesh, options
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.nouns import PartFieldMaker, PlacedField
+from sppm_pipeline.nouns import CellDesign, PartFieldMaker, PlacedField
 from sppm_pipeline.numerics import Grid, Kernels, Pieces, TilingArrays
+from sppm_structures.sizes import field_size
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum."""
@@ -121,15 +122,35 @@ class Organic(PartFieldMaker):
     tunnel_radius: Length | None = options.tunnel_radius(None, note="0.16 spacings if omitted")
     level: float = options.level(0.25)
 
+    def estimate(self, palette: Palette, cover: Size | None) -> Size:
+        spacing, (pore, tunnel) = self.in_cells(self.spacing), self._radii()
+        # 0.84 pores and 1.7 tunnels in a spacing cubed, independent of each other (Boolean model); a sum of kernels is
+        # wider than the union of its parts
+        pores, tunnels, length = 0.84 / spacing**3, 1.7 / spacing**3, 0.85 * spacing
+        volume = pores * 4 / 3 * math.pi * pore**3 + tunnels * math.pi * tunnel**2 * length
+        area = pores * 4 * math.pi * pore**2 + tunnels * 2 * math.pi * tunnel * length
+        solid = math.exp(-1.75 * volume)
+        work = 43.0 * ((pore + tunnel) / (0.61 * spacing)) ** 3
+        made = field_size(self.edge_mm, solid, area * solid, work, self.cells, cover, pores)
+        design = CellDesign(
+            edge=self.edge_mm or 1.0, edge_mm=self.edge_mm, interior_pores=pores, tunnels=tunnels, radii=(pore, tunnel)
+        )
+        return replace(made, design=design)
+
+    def _radii(self) -> tuple[float, float]:
+        spacing = self.in_cells(self.spacing)
+        return (
+            self.in_cells(self.pore_radius) if self.pore_radius is not None else 0.45 * spacing,
+            self.in_cells(self.tunnel_radius) if self.tunnel_radius is not None else 0.16 * spacing,
+        )
+
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
         """Throw and join the pores; the field is evaluated where it is sampled."""
         from sppm_pipeline.numerics import TUNNEL_PROFILES, omega_from_radius
         from sppm_pipeline.numerics import throw_darts as throw
 
         region, origin = self.region(cover)
-        spacing = self.in_cells(self.spacing)
-        pore = self.in_cells(self.pore_radius) if self.pore_radius is not None else 0.45 * spacing
-        tunnel = self.in_cells(self.tunnel_radius) if self.tunnel_radius is not None else 0.16 * spacing
+        spacing, (pore, tunnel) = self.in_cells(self.spacing), self._radii()
         if max(pore, tunnel) > 4 * spacing or not 1e-3 < spacing <= max(region):
             raise ConfigError(
                 f"pores of radius {pore:g} and tunnels of {tunnel:g} cell sizes don't fit a spacing of {spacing:g}",

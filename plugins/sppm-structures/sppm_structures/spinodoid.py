@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, DesignError, FieldMaker, ScalarField, option
+from sppm_pipeline import ConfigError, Context, DesignError, FieldMaker, Palette, ScalarField, Size, option
 from sppm_pipeline.nouns import FormulaField
+from sppm_structures.sizes import field_size
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 SMALLEST_CONE = 15.0
@@ -84,10 +86,14 @@ class Spinodoid(FieldMaker):
                 f"a cone of {low[0]:g} degrees leaves separate layers; allowed are 0 and {SMALLEST_CONE:g} to 90"
             )
 
+    def estimate(self, palette: Palette) -> Size:
+        # Rice's formula for the level of a Gaussian field whose waves are of one length
+        level = NormalDist().inv_cdf(self.density)
+        surface = 4 / np.sqrt(3) * self.wavenumber * self.repeat * np.exp(-(level**2) / 2)
+        return field_size(self.edge_mm, self.density, float(surface), 1 + 1.5 * self.wavenumber)
+
     def run(self, context: Context) -> ScalarField:
         """Draw wave vectors and phases."""
-        from statistics import NormalDist
-
         vectors = wave_vectors(self.wavenumber, self.shell, self.cones)
         rng = context.rng()
         if self.waves is not None:

@@ -8,12 +8,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, FieldMaker, ScalarField, option
+from sppm_pipeline import Context, FieldMaker, Palette, ScalarField, Size, option
 from sppm_pipeline.nouns import FormulaField
+from sppm_structures.sizes import field_size
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 LID = 2.0
 """Growth of a lid inwards from the border of a closed place: values of f a standard deviation."""
+
+SAMPLED = 150.0
+"""Nanoseconds of a sample, of any number of waves."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -89,6 +93,10 @@ class StochasticGyroid(FieldMaker):
     longest: float = option(
         2.0, help="longest wave vector of the random functions", unit="periods per cell size", minimum=1, maximum=8
     )
+
+    def estimate(self, palette: Palette) -> Size:
+        # a sheet of half width w takes 0.66 w of the volume, and a period has 3.1 squared periods of gyroid
+        return field_size(self.edge_mm, 0.66 * self.half_width, 6.2 * self.repeat, SAMPLED)
 
     def run(self, context: Context) -> ScalarField:
         """Draw the random functions."""

@@ -11,9 +11,21 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, FieldMaker, InputError, Length, ScalarField, option, options
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    FieldMaker,
+    InputError,
+    Length,
+    Palette,
+    ScalarField,
+    Size,
+    option,
+    options,
+)
 from sppm_pipeline.nouns import FormulaField
 from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
+from sppm_structures.sizes import field_size, near_struts, of_struts
 
 LARGEST_FILE = 1 << 24
 MAX_STRUTS = 5000
@@ -84,6 +96,10 @@ class Struts(FieldMaker):
     blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell size", minimum=0)
     repeat: int = option(1, help="periods along an edge of the cell", minimum=1, maximum=64)
 
+    def estimate(self, palette: Palette) -> Size:
+        graph = LATTICES[self.lattice]() if self.path is None else read_graph(self.path)
+        return size_of_struts(self.edge_mm, graph, self.in_cells(self.radius), self.in_cells(self.blend), self.repeat)
+
     def run(self, context: Context) -> ScalarField:
         """Lay the graph out; the field is evaluated where it is sampled."""
         radius, blend = self.in_cells(self.radius), self.in_cells(self.blend)
@@ -100,6 +116,15 @@ class Struts(FieldMaker):
             repeat=self.repeat,
             edge=self.edge_mm,
         )
+
+
+def size_of_struts(edge_mm: float | None, graph: StrutGraph, radius: float, blend: float, repeat: int) -> Size:
+    """The size of a field of struts, for a radius and a length of blending in cell sizes."""
+    # in a copy of edge 1; nanoseconds of a sample as measured on nine lattices, within a factor of 1.5
+    length = float(np.linalg.norm(graph.ends - graph.starts, axis=1).sum())
+    near = near_struts(length, (radius + 4 * blend) * repeat)
+    solid, surface = of_struts(length, radius * repeat)
+    return field_size(edge_mm, solid, surface * repeat, 25 + 75 * near)
 
 
 def read_graph(path: Path) -> StrutGraph:

@@ -8,13 +8,20 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, FieldMaker, Length, ScalarField, option
+from sppm_pipeline import ConfigError, Context, FieldMaker, Length, Palette, ScalarField, Size, option
 from sppm_pipeline.nouns import FormulaField
 from sppm_structures.nodal import SURFACES
+from sppm_structures.sizes import field_size
 
 SHALLOW = 1e-3
 """Least slope that a value is divided by, where the distance from the surface is estimated: the slope vanishes only
 far from the surface."""
+
+SAMPLED, SLOPED = 8.0, 42.0
+"""Nanoseconds of a sample without and with the slope."""
+
+COARSE = 24
+"""Samples along a period from which the expected solid and surface are counted."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,8 +108,24 @@ class Tpms(FieldMaker):
         if self.form == "network" and (self.thickness is not None or self.half_width is not None):
             raise ConfigError("a network has no thickness", hint="give `form: sheet`, or an `isovalue`")
 
+    def estimate(self, palette: Palette) -> Size:
+        made = self._field()
+        # of one period, whose walls are thicker by as much as it is larger
+        made = replace(made, repeat=1, width=made.width * (self.repeat if made.form == "wall" else 1))
+        axis = (np.arange(COARSE) + 0.5) / COARSE
+        values = np.asarray(made.evaluate(axis[:, None, None], axis[:, None], axis))
+        solid = np.broadcast_to(values, (COARSE,) * 3) < 0
+        crossed = sum(np.count_nonzero(solid != np.roll(solid, 1, along)) for along in range(3))
+        # a plane of any direction crosses 3/2 grid lines per squared spacing in the mean
+        surface = self.repeat * crossed / 1.5 / COARSE**2
+        work = SLOPED if made.form == "wall" else SAMPLED
+        return field_size(self.edge_mm, float(solid.mean()), surface, work)
+
     def run(self, context: Context) -> ScalarField:
         """Name the surface; it is evaluated where it is sampled."""
+        return self._field()
+
+    def _field(self) -> TpmsField:
         form, width = self.form, 0.0
         if form == "sheet":
             if self.half_width is not None:
