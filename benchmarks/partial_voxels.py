@@ -1,11 +1,12 @@
 """Errors of stiffness on voxels: cells at 32 and 64 voxels along the edge against the limit of finer grids.
 
-    python -m benchmarks.partial_voxels [--held-out] [TRUTH.json]
+    python -m benchmarks.partial_voxels [--held-out] [KEPT.json]
 
 The two weights of the extrapolation and the constants of the error bar were fitted to the 20 cells of `CELLS`;
 `--held-out` takes twelve that had no part in that. The truth is Young's modulus by a ramp of the solid fraction on 96
 and 144 voxels, extrapolated with an error that falls with the square of the voxel, and so by another rule than that of
-the stage. Each set takes about ten minutes of one core; truths are kept in TRUTH.json, if that is given.
+the stage. Each set takes about ten minutes of one core; what was computed is kept in KEPT.json, if that is given, so
+that a run that was stopped goes on where it was.
 Needs the structures: pip install ./plugins/sppm-structures
 """
 
@@ -89,15 +90,37 @@ def truth(field: sppm.ScalarField, filling: float) -> tuple[float, float]:
     return finer, abs(coarser / finer - 1)
 
 
+def errors_of(field: sppm.ScalarField, filling: float, count: int, limit: float) -> list[float]:
+    """Errors on a grid in percent, of the default, ramp on two grids and one, fraction, whole voxels; and the bar."""
+    fillings: dict[str, Any] = {"filling_young": filling} if filling else {}
+    stage = HomogenizeVoxel(resolution=count, **fillings)
+    summary = stage.run(PlainContext(), field).summary()
+    fine, half = (HomogenizeVoxel(resolution=n).sampled(field, 1).fraction for n in (count, count // 2))
+    assert fine is not None
+    assert half is not None
+    coarse, ramp, *others = (
+        modulus(np.ascontiguousarray(share.T), filling)
+        for share in (stiff_share(half), stiff_share(fine), fine, (fine > 0.5).astype(np.float32))
+    )
+    values = (summary["E_relative"], ramp - (coarse - ramp) / 3, ramp, *others)
+    return [100 * (value / limit - 1) for value in values] + [100 * summary["E_relative_error"] / limit]
+
+
 def main() -> None:
     """Print the errors of the default, of four other rules, and how often bars cover."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--held-out", action="store_true", help="cells on which nothing was calibrated")
-    parser.add_argument("truth", type=Path, nargs="?", help="file that keeps limits of fine grids")
+    parser.add_argument("kept", type=Path, nargs="?", help="file that keeps limits of fine grids, and errors")
     given = parser.parse_args()
-    kept: Path | None = given.truth
-    known: dict[str, float] = json.loads(kept.read_text()) if kept and kept.is_file() else {}
-    # columns: default, ramp extrapolated, ramp, in proportion, whole voxels; then the bar
+    kept: Path | None = given.kept
+    known: dict[str, Any] = json.loads(kept.read_text()) if kept and kept.is_file() else {}
+
+    def keep(**found: Any) -> None:
+        known.update(found)
+        if kept:
+            kept.write_text(json.dumps(known, indent=1))
+
+    doubts = []
     found: dict[int, list[list[float]]] = {32: [], 64: []}
     print("| cell | voxels | error | error bar | ramp, two grids | ramp, one grid | in proportion | whole voxels |")
     print("|---" * 8 + "|")
@@ -105,27 +128,14 @@ def main() -> None:
         key = f"{name} {porosity} {seed} {filling:g}"
         field = sppm.tune.porosity(recipe=RECIPES[name], target=porosity, seed=seed)
         if key not in known:
-            known[key], known[f"{key} doubt"] = truth(field, filling)
-            if kept:
-                kept.write_text(json.dumps(known, indent=1))
-        fillings = {"filling_young": filling} if filling else {}
+            limit, doubt = truth(field, filling)
+            keep(**{key: limit, f"{key} doubt": doubt})
+        doubts.append(100 * known[f"{key} doubt"])
         for count, rows in found.items():
-            stage = HomogenizeVoxel(resolution=count, **fillings)
-            summary = stage.run(PlainContext(), field).summary()
-            fraction = stage.sampled(field, 1).fraction
-            assert fraction is not None
-            half = HomogenizeVoxel(resolution=count // 2).sampled(field, 1).fraction
-            assert half is not None
-            coarse, *others = (
-                modulus(np.ascontiguousarray(share.T), filling)
-                for share in (
-                    stiff_share(half), stiff_share(fraction), fraction, (fraction > 0.5).astype(np.float32),
-                )
-            )  # fmt: skip
-            others.insert(0, others[0] - (coarse - others[0]) / 3)
-            errors = [100 * (value / known[key] - 1) for value in (summary["E_relative"], *others)]
-            bar = 100 * summary["E_relative_error"] / known[key]
-            rows.append([*errors, bar])
+            if f"{key} {count}" not in known:
+                keep(**{f"{key} {count}": errors_of(field, filling, count, known[key])})
+            rows.append(known[f"{key} {count}"])
+            *errors, bar = rows[-1]
             words = " | ".join(f"{value:+.1f}" for value in errors[1:])
             print(f"| {key} | {count} | {errors[0]:+.1f} | {bar:.1f} | {words} |", flush=True)
     for count, rows in found.items():
@@ -134,8 +144,7 @@ def main() -> None:
         print(", ".join(f"{errors.mean():.1f} {errors.max():.1f}" for errors in rules), end="; ")
         default = rules[0]
         print(f"{int((default <= 3).sum())} within 3, {int((default <= 1).sum())} within 1 %; ", end="")
-        print(f"{int((default <= bars).sum())} of {len(bars)} bars cover")
-    doubts = [100 * known[key] for key in known if key.endswith("doubt")]
+        print(f"{int((default <= bars).sum())} of {len(bars)} bars cover, {bars.mean():.1f} % in the mean")
     print(f"limits of 64 and 96 voxels differ by {np.mean(doubts):.2f} % in the mean, {max(doubts):.2f} % at most")
 
 
