@@ -144,7 +144,7 @@ pipeline:
   - {{stage: tune.porosity, recipe: cell, target: {values[POROSITY]:.4g}}}
   - {{stage: homogenize.voxel, resolution: {n}, grids: 2, {source}}}
   - {{stage: homogenize.conductivity, resolution: {n}, {source}}}
-  - {{stage: homogenize.permeability, resolution: {n}, {source}}}
+  - {{stage: homogenize.permeability, resolution: {n}, grids: 1, {source}}}
   - {{stage: check.sizes, resolution: {round(SIZES * n)}, {source}}}
 """
 

@@ -1,5 +1,7 @@
 """``homogenize.permeability``: fields and images, units, pockets, error bars, the picture."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -9,6 +11,7 @@ from sppm_pipeline.features.flow.permeability import DARCY, PermeabilityReport
 from sppm_pipeline.features.flow.stages.homogenize_permeability import HomogenizePermeability
 from sppm_pipeline.features.flow.stages.write_flow import WriteFlow
 from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.nouns import FormulaField
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -108,6 +111,46 @@ def test_a_cell_of_the_paper(cell, tmp_path):
     square = white[20:280, :260]
     expected = np.kron(solid[::-1], np.ones((11, 11), bool))
     assert square[5:-5, 5:-5].mean() == pytest.approx(expected.mean(), abs=0.05)
+
+
+def test_the_limit_of_two_grids_is_the_result_for_a_field(cell):
+    """Much nearer to that of fine grids than either grid, and covered by its error bar."""
+    truth = solved(cell, resolution=64).k_mean
+    context = PlainContext()
+    report = solved(cell, context, resolution=24)
+    coarse, fine = (solved(cell, resolution=n, grids=1) for n in (16, 24))
+    assert report.k == pytest.approx(fine.k + (fine.k - coarse.k) / (1.5**2.25 - 1), rel=1e-6)
+    assert report.error == pytest.approx(np.abs(report.k - fine.k), rel=1e-6)
+    assert abs(report.k_mean - truth) < np.trace(report.error) / 3
+    assert abs(report.k_mean - truth) < 0.4 * abs(fine.k_mean - truth)
+    assert report.thermal == fine.thermal
+    assert context.reported["convergence"]["resolutions"] == [16, 24]
+    assert ("the error bar is" in " ".join(report.warnings)) == (report.error_relative > 0.1)
+    assert fine.error is None
+    assert solved(cell, resolution=24, fractions="binary").error is None
+
+
+def test_throats_that_the_coarser_grid_closes_are_named():
+    """Nothing is extrapolated there, and what needs a finer grid is said."""
+
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class Pipe(FormulaField):
+        radius: float
+
+        def evaluate(self, x, y, z):
+            return self.radius - np.hypot(y - 0.5, z - 0.5) + 0 * x
+
+    pipe, context = Pipe(radius=0.03), PlainContext()
+    report = solved(pipe, context, resolution=24)
+    one = solved(pipe, resolution=24, grids=1)
+    assert report.k == pytest.approx(one.k)
+    assert report.error_relative > 0.5
+    assert any("raise `resolution` to about" in text for text in context.warnings)
+    wide, context = Pipe(radius=0.3), PlainContext()
+    report = solved(wide, context, resolution=24)
+    assert report.k[0, 0] == pytest.approx(np.pi * 0.3**4 / 8, rel=0.01)
+    assert report.k[1, 1] == report.error[1, 1] == 0
+    assert not any("error bar" in text for text in context.warnings)
 
 
 def test_an_image_has_an_error_bar_that_covers_finer_voxels(flow, gyroid):

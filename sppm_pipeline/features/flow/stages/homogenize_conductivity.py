@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, ScalarField, Voxels, option, options
-from sppm_pipeline.features.flow.permeability import ConductivityReport
+from sppm_pipeline.features.flow.permeability import ConductivityReport, worst_direction
 from sppm_pipeline.nouns import SidedHomogenizer, VoxelCell
 from sppm_pipeline.numerics import grids_below, per_phase, refined
 
@@ -30,10 +30,6 @@ is right. Three cells of the paper want 0.7 to 1 of that third at r = 0.13, and 
 
 SERIES_ERROR = 0.5
 """Error that is left of it, in voxels over the edge of the cell: what 0.15 of the third are worth at r = 0.01."""
-
-MAX_CORRECTION = 0.5
-"""Correction over conductivity above which nothing is extrapolated, as walls or throats are lost on the coarser grid.
-At 32 voxels, cells of the paper have up to 0.15."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +101,8 @@ class HomogenizeConductivity(SidedHomogenizer):
         if isinstance(source, Voxels) or self.fractions == "binary":
             return replace(fine, error=limit.error)
         correction = (fine.k - coarse.k) / ((counts[1] / counts[0]) ** 2 - 1)
-        trusted, direction = _is_small(correction, fine.k)
-        if not trusted:
+        direction = worst_direction(correction, fine.k)
+        if direction is not None:
             # a wall that only the coarser grid leaks through is closed on the finer one, whose result is right
             unresolved = [
                 f"from {counts[0]} to {counts[1]} voxels along an edge the conductivity changes from "
@@ -187,9 +183,3 @@ class HomogenizeConductivity(SidedHomogenizer):
             return cell.of_voxels((self.fluid or 0.0, *self._bulk()), dtype)
         phases = 1 if cell.phase is None else int(cell.phase.max())
         return cell.of_voxels((self._bulk()[0], *(0.0,) * phases), dtype)
-
-
-def _is_small(correction: NDArray[np.float64], k: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
-    """True if a correction is small in all directions; and the direction in which it is largest."""
-    worst = min((np.linalg.eigh(MAX_CORRECTION * k + sign * correction) for sign in (1, -1)), key=lambda one: one[0][0])
-    return bool(worst[0][0] >= -1e-6 * np.abs(k).max()), worst[1][:, 0]
