@@ -1,12 +1,16 @@
-"""A small run with everything a report shows."""
+"""A small run with everything a report shows, and pages in Chromium."""
 
+import contextlib
 import shutil
+import threading
+import time
 
 import pytest
 
 from sppm_pipeline.engine.config.parameters import Overrides
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.features.browser.studio.server import server_of
 
 SMALL = """
 sppm: 1
@@ -44,6 +48,42 @@ def small_run(tmp_path_factory):
 def copied(small_run, tmp_path):
     """A copy of the run that may be changed."""
     return shutil.copytree(small_run, tmp_path / "run", ignore=shutil.ignore_patterns("report.html"))
+
+
+@contextlib.contextmanager
+def page_of(browser, address, width):
+    """An address in a page of a width, with all that it asks for and says."""
+    made = browser.new_page(viewport={"width": width, "height": 800}, accept_downloads=True)
+    made.heard, made.asked, made.home = [], [], address
+    made.on("console", lambda message: made.heard.append(message.text))
+    made.on("pageerror", lambda error: made.heard.append(str(error)))
+    made.on("request", lambda request: made.asked.append(request.url))
+    made.goto(address)
+    yield made
+    made.close()
+
+
+@contextlib.contextmanager
+def served(studio, browser, width):
+    """The page of a studio, of a server of its own."""
+    with server_of(studio) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with page_of(browser, server.address, width) as made:
+            yield made
+        server.shutdown()
+
+
+def until(page, expression, what, seconds=120):
+    """Wait for something to be true; `wait_for_function` is what the page's policy forbids."""
+    from playwright.sync_api import Error
+
+    ends = time.monotonic() + seconds
+    while True:
+        with contextlib.suppress(Error):  # while another page is loaded
+            if found := page.evaluate(expression):
+                return found
+        assert time.monotonic() < ends, f"{what}: {page.inner_text('body')[:2000]}; {getattr(page, 'heard', '')}"
+        time.sleep(0.05)
 
 
 STOPS = """() => [...document.querySelectorAll('a[href], button, input, select, summary, [tabindex]')].filter(e =>

@@ -5,7 +5,6 @@ import dataclasses
 import io
 import json
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.artifact import Surface, Viewable
 from sppm_pipeline.numerics import Grid, cell_centers
 from sppm_pipeline.services.elastic.directional import sphere_mesh
+from tests.features.browser.conftest import page_of, until
 
 pytestmark = pytest.mark.browser
 
@@ -38,15 +38,6 @@ def written(folder: Path, **options) -> Path:
     return page
 
 
-def until(page, expression, what, seconds=40):
-    """Wait for something to be true; `wait_for_function` is what the page's policy forbids."""
-    ends = time.monotonic() + seconds
-    while not (found := page.evaluate(expression)):
-        assert time.monotonic() < ends, f"{what}: {page.evaluate('document.body.innerText')[:2000]}"
-        time.sleep(0.05)
-    return found
-
-
 SETTLED = "(d => d.passes && d.passes === d.most ? d : null)({...document.getElementById('live-canvas').dataset})"
 DRAWN = "n => document.getElementById('layer').dataset.layer === String(n)"
 
@@ -54,16 +45,9 @@ DRAWN = "n => document.getElementById('layer').dataset.layer === String(n)"
 @pytest.fixture(scope="module")
 def opened(browser, small_run):
     """The report of the small run in a page, with all that it asked for and said."""
-    page = browser.new_page(viewport={"width": WIDTH, "height": 800})
-    page.heard, page.asked = [], []
-    page.on("console", lambda message: page.heard.append(message.text))
-    page.on("pageerror", lambda error: page.heard.append(str(error)))
-    page.on("request", lambda request: page.asked.append(request.url))
-    file = written(small_run)
-    page.goto(file.as_uri())
-    until(page, SETTLED, "the live view never settled")
-    yield page
-    page.close()
+    with page_of(browser, written(small_run).as_uri(), WIDTH) as page:
+        until(page, SETTLED, "the live view never settled")
+        yield page
 
 
 def slide(page, name, value):

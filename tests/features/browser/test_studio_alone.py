@@ -1,7 +1,6 @@
 """The studio without a server: its cells are those of the program, and its address holds the configuration."""
 
 import re
-import time
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -15,6 +14,7 @@ from sppm_pipeline.features.browser.live.page import ASSETS
 from sppm_pipeline.features.browser.studio import alone
 from sppm_pipeline.features.browser.studio.controls import with_values
 from sppm_pipeline.method.stages.tune_porosity import _points
+from tests.features.browser.conftest import page_of, until
 
 pytestmark = pytest.mark.browser
 
@@ -126,23 +126,9 @@ DRAWN = "(s => s.drawn && !s.quick && s.drawn)(document.getElementById('status')
 
 @pytest.fixture(scope="module")
 def page(browser, file):
-    made = browser.new_page(viewport={"width": WIDTH, "height": 800})
-    made.heard, made.asked = [], []
-    made.on("console", lambda message: made.heard.append(message.text))
-    made.on("pageerror", lambda error: made.heard.append(str(error)))
-    made.on("request", lambda request: made.asked.append(request.url))
-    made.goto(f"{file.as_uri()}#{quote(SMALL)}")
-    until(made, DRAWN, "no first cell", 60)
-    yield made
-    made.close()
-
-
-def until(page, expression, what, seconds=30):
-    ends = time.monotonic() + seconds
-    while not (found := page.evaluate(expression)):
-        assert time.monotonic() < ends, f"{what}: {page.evaluate('document.body.innerText')[:2000]}; {page.heard}"
-        time.sleep(0.05)
-    return found
+    with page_of(browser, f"{file.as_uri()}#{quote(SMALL)}", WIDTH) as made:
+        until(made, DRAWN, "no first cell", 60)
+        yield made
 
 
 def test_the_address_gives_the_cell_that_the_program_makes(page):

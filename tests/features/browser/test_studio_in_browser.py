@@ -1,6 +1,5 @@
 """The studio in Chromium: a slider gives a new cell, its text on the page, and errors where they belong."""
 
-import threading
 import time
 
 import numpy as np
@@ -10,7 +9,8 @@ import sppm_pipeline as sppm
 from sppm_pipeline.engine.api.pipeline import Pipeline
 from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.features.browser.studio.design import START, Design
-from sppm_pipeline.features.browser.studio.server import CHARTED, server_of
+from sppm_pipeline.features.browser.studio.server import CHARTED
+from tests.features.browser.conftest import served, until
 
 PlaywrightError = pytest.importorskip("playwright.sync_api").Error
 
@@ -22,26 +22,9 @@ WIDTH = 400
 @pytest.fixture(scope="module")
 def page(browser):
     design = Design(RunRequest("cell.yaml", text=START.replace("95", "30"), folder=".", distributions=False), None, 2)
-    with server_of(design) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        made = browser.new_page(viewport={"width": WIDTH, "height": 800})
-        made.heard, made.asked, made.home = [], [], server.address
-        made.on("console", lambda message: made.heard.append(message.text))
-        made.on("pageerror", lambda error: made.heard.append(str(error)))
-        made.on("request", lambda request: made.asked.append(request.url))
-        made.goto(server.address)
+    with served(design, browser, WIDTH) as made:
         until(made, "document.getElementById('status').dataset.drawn", "no first cell", 120)
         yield made
-        made.close()
-        server.shutdown()
-
-
-def until(page, expression, what, seconds=40):
-    ends = time.monotonic() + seconds
-    while not (found := page.evaluate(expression)):
-        assert time.monotonic() < ends, f"{what}: {page.evaluate('document.body.innerText')[:2000]}; {page.heard}"
-        time.sleep(0.05)
-    return found
 
 
 def moved(page, key, value):

@@ -1,9 +1,5 @@
 """The job of a bracket by mouse: a mesh is dropped, sliders are moved, numbers are read, files are taken along."""
 
-import contextlib
-import threading
-import time
-
 import pytest
 
 from sppm_pipeline.engine.api.functions import make_function
@@ -12,20 +8,11 @@ from sppm_pipeline.engine.cli.new import design_text
 from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.features.browser.studio import parts
 from sppm_pipeline.features.browser.studio.design import START
-from sppm_pipeline.features.browser.studio.server import Studio, server_of
+from sppm_pipeline.features.browser.studio.server import Studio
+from tests.features.browser.conftest import served, until
 
-Error = pytest.importorskip("playwright.sync_api").Error
+pytest.importorskip("playwright.sync_api")
 pytestmark = [pytest.mark.browser, pytest.mark.filterwarnings("ignore::UserWarning")]
-
-
-def until(page, expression, what, seconds=120):
-    ends = time.monotonic() + seconds
-    while True:
-        with contextlib.suppress(Error):  # while another page is loaded
-            if found := page.evaluate(expression):
-                return found
-        assert time.monotonic() < ends, f"{what}: {page.inner_text('body')[:1500]}; {page.heard}"
-        time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
@@ -46,22 +33,9 @@ def page(browser):
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(parts, "design_text", coarse)
-        yield from opened(browser)
-
-
-def opened(browser):
-    request = RunRequest("cell.yaml", text=START.replace("95", "20"), folder=".", distributions=False)
-    with server_of(Studio(request, 2)) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        made = browser.new_page(viewport={"width": 400, "height": 800}, accept_downloads=True)
-        made.heard, made.asked, made.home = [], [], server.address
-        made.on("console", lambda message: made.heard.append(message.text))
-        made.on("pageerror", lambda error: made.heard.append(str(error)))
-        made.on("request", lambda request: made.asked.append(request.url))
-        made.goto(server.address)
-        yield made
-        made.close()
-        server.shutdown()
+        request = RunRequest("cell.yaml", text=START.replace("95", "20"), folder=".", distributions=False)
+        with served(Studio(request, 2), browser, 400) as made:
+            yield made
 
 
 QUICK = "document.getElementById('status').dataset.quick"

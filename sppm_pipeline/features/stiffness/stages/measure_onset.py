@@ -14,6 +14,7 @@ from sppm_pipeline.features.stiffness.numerics.elasticity import Homogenized
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import ElasticCell
 from sppm_pipeline.method.families.homogenizer import per_phase
 from sppm_pipeline.services.arrays import F32, F64
+from sppm_pipeline.services.elastic.loaded import brick_strains
 from sppm_pipeline.services.jit.compiled import jit
 
 _LOADED = 1e-3
@@ -39,23 +40,21 @@ def stress_ratios(found: Homogenized, strain: F64, modulus: NDArray[Any], edges:
         u += np.float32(part * step) * packed.reshape(u.shape)
     # displacements are in the unit of the longest edge
     h = np.array(edges, np.float64) / max(edges)
-    signs = np.array([(i, j, k) for k in (-1, 1) for j in (-1, 1) for i in (-1, 1)], np.float64)
-    factors = 1 + signs[:, None] * signs / np.sqrt(3)
-    slopes = np.stack(
-        [signs[:, d] * np.prod(np.delete(factors, d, 2), 2) / (4 * h[d]) for d in range(3)], axis=2
-    )  # fmt: skip
+    x, y, z = np.array([(i, j, k) for k in (-1, 1) for j in (-1, 1) for i in (-1, 1)]).T / np.sqrt(3)
+    monomials = np.stack([np.ones(8), x, y, z, x * y, x * z, y * z])
+    strains = np.einsum("mg,mrn->grn", monomials, brick_strains((h[0], h[1], h[2]))[0])
     out = np.empty((np.count_nonzero(modulus), 8), np.float32)
-    _stresses(u, strain, np.ascontiguousarray(modulus, np.float64), slopes, out)
+    _stresses(u, strain, np.ascontiguousarray(modulus, np.float64), strains, out)
     return out
 
 
 @jit
 def _stresses(
-    u: NDArray[Any], strain: NDArray[Any], modulus: NDArray[Any], slopes: NDArray[Any], out: NDArray[Any]
+    u: NDArray[Any], strain: NDArray[Any], modulus: NDArray[Any], strains: NDArray[Any], out: NDArray[Any]
 ) -> None:
-    """Write von Mises stresses; `slopes` (8, 8, 3) are those of the corners' shape functions at each Gauss point."""
+    """Write von Mises stresses; `strains` (8, 6, 24) are those at each Gauss point of the displacements of corners."""
     nz, ny, nx = modulus.shape
-    c = np.empty((8, 3))
+    v, e = np.empty(24), np.empty(6)
     at = 0
     for k in range(nz):
         for j in range(ny):
@@ -65,19 +64,15 @@ def _stresses(
                     continue
                 for a in range(8):
                     z, y, x = (k + (a >> 2)) % nz, (j + (a >> 1 & 1)) % ny, (i + (a & 1)) % nx
-                    c[a, 0], c[a, 1], c[a, 2] = u[0, z, y, x], u[1, z, y, x], u[2, z, y, x]
+                    for c in range(3):
+                        v[3 * a + c] = u[c, z, y, x]
                 for g in range(8):
-                    xx, yy, zz, yz, xz, xy = strain[0], strain[1], strain[2], strain[3], strain[4], strain[5]
-                    for a in range(8):
-                        sx, sy, sz = slopes[g, a, 0], slopes[g, a, 1], slopes[g, a, 2]
-                        xx += sx * c[a, 0]
-                        yy += sy * c[a, 1]
-                        zz += sz * c[a, 2]
-                        yz += sy * c[a, 2] + sz * c[a, 1]
-                        xz += sx * c[a, 2] + sz * c[a, 0]
-                        xy += sx * c[a, 1] + sy * c[a, 0]
-                    shear = 0.75 * (yz * yz + xz * xz + xy * xy)
-                    normal = 0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2)
+                    for r in range(6):
+                        e[r] = strain[r]
+                        for n in range(24):
+                            e[r] += strains[g, r, n] * v[n]
+                    shear = 0.75 * (e[3] ** 2 + e[4] ** 2 + e[5] ** 2)
+                    normal = 0.5 * ((e[0] - e[1]) ** 2 + (e[1] - e[2]) ** 2 + (e[2] - e[0]) ** 2)
                     # the square of von Mises stress is 3 J2, with deviatoric stress 2 mu times deviatoric strain
                     out[at, g] = 2 * mu * np.sqrt(normal + shear)
                 at += 1
