@@ -1,11 +1,15 @@
-"""Solid of the front page's knot that is thin, as cut and with a border, and triangles of its mesh before and after.
+"""Solid of the front page's knot that is thin, as cut and with each border, and triangles of its mesh before and after.
 
-Usage: ``python -m benchmarks.borders``. Thin is what has a local thickness below 0.3 mm on voxels of 0.05 mm; patches
-are what of it is connected across faces of voxels. Times are those of a processor, the second of two runs.
+Usage: ``python -m benchmarks.borders [--write]``; the latter puts the table into docs/howto/fill-your-own-mesh.md. Thin
+is what has a local thickness below 0.3 mm on voxels of 0.05 mm; patches are what of it is connected across faces of
+voxels. Times are those of a processor: of the layers, the least of three in turn, and of the whole run of
+``configs/quickstart.yaml`` with its pictures and its mesh, the lesser of two in turn.
 """
 
 from __future__ import annotations
 
+import sys
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,57 +17,98 @@ from pathlib import Path
 import numpy as np
 
 import sppm_pipeline as sppm
+from benchmarks.measure import run
 from sppm_pipeline.features.surface.numerics.simplifying import qualities, simplify
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
 from sppm_pipeline.method.connectivity.components import find_components
-from sppm_pipeline.method.part.border import Border
 from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.method.part.surface_net import surface_net
+from sppm_pipeline.services.arrays import U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.local_thickness import local_thickness
 from sppm_pipeline.services.mesh.measures import genus
 from sppm_pipeline.testing.plain_context import PlainContext
 
 ROOT = Path(__file__).resolve().parents[1]
-THINNEST, STRUT, VOXEL, PATCH, WITHIN = 0.3, 0.5, 0.05, 50, 0.02
+CONFIG, PAGE = ROOT / "configs" / "quickstart.yaml", ROOT / "docs" / "howto" / "fill-your-own-mesh.md"
+MARK = "<!-- benchmarks.borders -->\n"
+THINNEST, VOXEL, PATCH, WITHIN = 0.3, 0.05, 50, 0.02
+WAYS: dict[str, dict[str, str]] = {
+    "cut": {},
+    "round": {},
+    "frame": {"frame": "0.5 mm", "frame_spacing": "2 mm"},
+    "closed": {},
+}
+
+
+def layers(part: Part, grid: Grid) -> tuple[U8, float]:
+    """All layers of a part, and the seconds they took."""
+    made, start, nz = replace(part), time.process_time(), grid.shape[2]
+    solid = np.concatenate([made.solid_zyx(grid, k, min(nz, k + 18)) for k in range(0, nz, 18)])
+    return solid, time.process_time() - start
+
+
+def options(name: str) -> dict[str, str]:
+    """Settings of `fill.implicit` for a border."""
+    thinnest = {} if name == "cut" else {"thinnest": f"{THINNEST} mm"}
+    given = {"border": name, **thinnest, **WAYS[name]}
+    return {f"fill.implicit.{option}": value for option, value in given.items()}
+
+
+def whole_run(name: str) -> float:
+    """Seconds of the whole run with a border, by a process of its own."""
+    given = [f"-s{option}={value}" for option, value in options(name).items()]
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "sppm_pipeline", "run", str(CONFIG), "-o", f"{folder}/run", "--no-cache"]
+        return float(run([*command, "--threads", "1", *given]).cpu)
 
 
 def main() -> None:
-    """Print one line for each kind of border."""
-    part: Part = sppm.run(str(ROOT / "configs" / "quickstart.yaml"), until="fill.implicit")["fill.implicit"]
-    edge = part.physical_edge()
-    low = (part.domain.lower + VOXEL / 2 - part.origin_mm) / edge
-    nx, ny, nz = (round(float(side) / VOXEL) for side in part.domain.upper - part.domain.lower)
+    """Print one line for each kind of border, and a table."""
+    parts = {name: sppm.run(str(CONFIG), set=options(name), until="fill.implicit")["fill.implicit"] for name in WAYS}
+    plain: Part = parts["cut"]
+    edge = plain.physical_edge()
+    low = (plain.domain.lower + VOXEL / 2 - plain.origin_mm) / edge
+    nx, ny, nz = (round(float(side) / VOXEL) for side in plain.domain.upper - plain.domain.lower)
     grid = Grid((float(low[0]), float(low[1]), float(low[2])), (VOXEL / edge,) * 3, (nx, ny, nz))
-    net = surface_net(part.domain.vertices[part.domain.faces], edge / 2, STRUT / 2, np.random.default_rng(0))
-    ways = {
-        "cut": part,
-        "round": replace(part, border=Border(THINNEST)),
-        "frame": replace(part, border=Border(THINNEST), fills=net.capsules),
-    }
-    for name, way in ways.items():
-        for _ in range(2):  # the first one compiles
-            made, start = replace(way), time.process_time()
-            solid = np.concatenate([made.solid_zyx(grid, k, min(nz, k + 18)) for k in range(0, nz, 18)])
-            taken = time.process_time() - start
-        found = find_components(solid)
-        share = found.sizes[0] / found.sizes.sum()
+    inside = sum(int(plain.inside_zyx(grid, k, min(nz, k + 18)).sum()) for k in range(0, nz, 18))
+    made = {name: layers(part, grid)[0] for name, part in parts.items()}  # the first one compiles
+    taken = {name: min(layers(part, grid)[1] for _ in range(3)) for name, part in parts.items()}
+    whole = {name: min(whole_run(name) for _ in range(2)) for name in WAYS}
+    rows = [
+        "| `border` | solid | in one piece | thinner than 0.3 mm | thin patches above 50 voxels | void open to the "
+        "outside | time of the layers | of the whole run |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, solid in made.items():
+        sizes = find_components(solid, (False,) * 3).sizes
         thickness = local_thickness(np.pad(solid, 2), (False,) * 3)
         thin = (thickness > 0) & (thickness < THINNEST / VOXEL)
-        patches = find_components(thin.view(np.uint8)).sizes
-        mesh = MarchingCubes(resolution=40).run(PlainContext(), made)
-        for _ in range(2):
-            start = time.process_time()
-            few = simplify(mesh.vertices, mesh.faces, WITHIN)
-            simplified = time.process_time() - start
+        patches = int((find_components(thin.view(np.uint8), (False,) * 3).sizes > PATCH).sum())
+        voids = find_components(np.pad(solid, 2), (False,) * 3, 6, zeros=True)
+        around = voids.sizes[voids.faces.any(1)].sum() - ((nx + 4) * (ny + 4) * (nz + 4) - inside)
+        opened = max(0.0, around / (inside - solid.sum()))
+        share = thin.sum() / solid.sum()
+        rows.append(
+            f"| `{name}` | {solid.sum() / inside:.1%} | {sizes.max() / sizes.sum():.1%} | {share:.2%} | {patches} | "
+            f"{opened:.0%} | {taken[name] / taken['cut']:.2f} | {whole[name] / whole['cut']:.2f} |"
+        )
+        mesh = MarchingCubes(resolution=40).run(PlainContext(), parts[name])
+        simplify(mesh.vertices, mesh.faces, WITHIN)
+        start = time.process_time()
+        few = simplify(mesh.vertices, mesh.faces, WITHIN)
         print(
-            f"{name:6} solid {solid.sum() * VOXEL**3:.1f} mm3 in {taken:.2f} s, {share:.2%} in "
-            f"one piece; thin {thin.sum() / solid.sum():.2%}, {(patches > PATCH).sum()} patches above {PATCH} voxels; "
-            f"{len(mesh.faces)} triangles, {len(few.faces)} within {few.farthest:.4f} mm in {simplified:.2f} s, genus "
+            f"{name}: layers {taken[name]:.2f} s, run {whole[name]:.1f} s; {len(mesh.faces)} triangles, "
+            f"{len(few.faces)} within {few.farthest:.4f} mm in {time.process_time() - start:.2f} s, genus "
             f"{genus(mesh.faces)} and {genus(few.faces)}, quality below 0.1: "
             f"{(qualities(mesh.vertices, mesh.faces) < 0.1).mean():.2%} and "
-            f"{(qualities(few.vertices, few.faces) < 0.1).mean():.2%}"
+            f"{(qualities(few.vertices, few.faces) < 0.1).mean():.2%}",
+            flush=True,
         )
+    table = "\n".join(rows) + "\n"
+    print(table)
+    if "--write" in sys.argv:
+        before, _, after = PAGE.read_text("utf-8").split(MARK)
+        PAGE.write_text(before + MARK + table + MARK + after, "utf-8")
 
 
 if __name__ == "__main__":

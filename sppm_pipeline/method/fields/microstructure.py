@@ -19,7 +19,7 @@ from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.nouns.length import Cell
-from sppm_pipeline.services.arrays import F32, F64, I32, I64
+from sppm_pipeline.services.arrays import F32, F64, I32, I64, Bools
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.metric import check_metric
 
@@ -163,6 +163,26 @@ class Microstructure(KernelSum):
     def cut_at(self, value: float) -> Microstructure:
         """The same kernels, with `value` added to the level."""
         return self.with_level(self.level + value)
+
+    @property
+    def tunnel_order(self) -> slice | I64:
+        """The tunnels of blocks without faces in the order of their kernels, (m,)."""
+        order = _sorted_by(self.graph.pores.piece[self.graph.edges[:, 0]], self.interiors)[0]
+        return slice(None) if order is None else order
+
+    def only(self, pores: Bools, tunnels: Bools) -> Microstructure:
+        """Some of the pores (n,) and tunnels (m,) of blocks without faces, as the graph counts them."""
+        graph, pieces, kept = self.graph, self.pieces, tunnels[self.tunnel_order]
+        left = replace(graph.pores, centers=graph.pores.centers[pores], piece=graph.pores.piece[pores])
+        edges = (np.cumsum(pores) - 1)[graph.edges[tunnels]]
+        before = (np.concatenate([[0], np.cumsum(mask)]) for mask in (pores, kept))
+        first_pore, first_tunnel = (
+            n[first] for n, first in zip(before, (pieces.first_pore, pieces.first_tunnel), strict=True)
+        )
+        pieces = replace(
+            pieces, kernels=pieces.kernels.taken(pores, kept), first_pore=first_pore, first_tunnel=first_tunnel
+        )
+        return replace(self, graph=TunnelGraph(left, edges, graph.shift[tunnels]), pieces=pieces)
 
     def exactly(self) -> Microstructure:
         return replace(self, exact=True)

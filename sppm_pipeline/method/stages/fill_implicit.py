@@ -56,12 +56,16 @@ class ImplicitFill(Stage):
     Cut at the surface of a part, struts end in shards. With `border: round` the solid is a union of balls, which lie
     inside of the part: what is too thin goes, struts that are a little too thin are thickened, edges get round, and
     faces stay flat. Voxels of a sixth of `thinnest` then show hardly any solid thinner than that; for this the balls
-    are larger by two fifths. The field is evaluated on a grid of a quarter of `thinnest` and interpolated, so that
+    are larger by two fifths. The field is evaluated on a grid of two sevenths of `thinnest` and interpolated, so that
     layers and meshes agree. Disconnected solid is left out as islands. An extension of the paper.
 
     With `border: frame` struts along the surface unite with the solid before that, so that no strut ends there alone:
     points are spread over the surface, and neighbors along it are joined, so that the meshes between are the pores of
     the surface.
+
+    With `border: closed` the part is closed, by walls of different thickness: pores and tunnels that the surface would
+    cut, or that come nearer to it than `thinnest`, are left out before that. Its porosity is then below that of the
+    structure. It needs scattered pores. What is sealed is measured and warned about as with a skin.
     """
 
     name: ClassVar[str] = "fill.implicit"
@@ -102,8 +106,8 @@ class ImplicitFill(Stage):
     )  # fmt: skip
     border: str = option(
         "cut", help="how the solid ends at the surface of the part: as cut, without what is too thin, or that and in a "
-        "net of struts along the surface",
-        choices=("cut", "round", "frame"),
+        "net of struts along the surface or, closed, with whole pores only",
+        choices=("cut", "round", "frame", "closed"),
     )  # fmt: skip
     frame: Length | None = option(
         None, help="diameter of the struts along the surface; 1.5 times `thinnest` if omitted",
@@ -176,12 +180,13 @@ class ImplicitFill(Stage):
     ) -> Part:
         """Put the two together, and measure what the skin seals."""
         part = self.filled(context, field, domain, skin_near)
-        if part.skin_mm:
+        if part.skin_mm or self.border == "closed":
             sealed = sealed_void(part, context.threads)
             context.report(sealed_mm3=sealed)
             if sealed > WARNED_VOID * float(np.prod(part.domain.upper - part.domain.lower)):
+                what = f"skin of {part.skin_mm:g} mm" if part.skin_mm else "closed border"
                 context.warn(
-                    f"the skin of {part.skin_mm:g} mm seals about {sealed:.3g} mm3 of void, in which liquid resin or "
+                    f"the {what} seals about {sealed:.3g} mm3 of void, in which liquid resin or "
                     "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
                 )
         return part
@@ -207,6 +212,8 @@ class ImplicitFill(Stage):
         chosen = self._chosen(context, domain, skin_near) if self._chooses else None
         border = None if self.border == "cut" else Border((self.thinnest or THINNEST).mm())
         skin = self.skin.mm() if self.skin else 0.0
+        if self.border == "closed":
+            field = self._closed(context, field, domain)
         part = Part(field, domain, skin, self.islands, method, self.drains, chosen, border=border)
         if self.solid_within is not None:
             from sppm_pipeline.method.nouns.named_faces import named_triangles
@@ -222,13 +229,19 @@ class ImplicitFill(Stage):
         """Capsules of the net along the surface."""
         from sppm_pipeline.method.part.surface_net import surface_net
 
-        outer = domain.outer_surface
-        triangles = domain.vertices[domain.faces] if outer is None else outer.triangles
         thick = 1.5 * (self.thinnest or THINNEST).mm() if self.frame is None else self.frame.mm()
         spacing = edge / 2 if self.frame_spacing is None else self.frame_spacing.mm()
-        net = surface_net(triangles, spacing, thick / 2, context.rng())
+        net = surface_net(_triangles(domain), spacing, thick / 2, context.rng())
         context.report(frame_points=len(net.points), frame_struts=len(net.edges))
         return net.capsules
+
+    def _closed(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> ScalarField:
+        """The structure without the pores that the surface would cut."""
+        from sppm_pipeline.method.part.whole_pores import with_whole_pores
+
+        closed, stays = with_whole_pores(field, _triangles(domain), (self.thinnest or THINNEST).mm())
+        context.report(whole_pores=int(stays.sum()))
+        return closed
 
     def _chosen(self, context: Context, domain: SurfaceMesh, near: SurfaceMesh | None) -> I32:
         """Numbers of the triangles that have the skin."""
@@ -254,6 +267,12 @@ class ImplicitFill(Stage):
             skin_triangles=int(chosen.sum()), skin_area_mm2=surface_area(domain.vertices, domain.faces[chosen])
         )
         return np.flatnonzero(chosen).astype(np.int32)
+
+
+def _triangles(domain: SurfaceMesh) -> F64:
+    """The triangles (m, 3, 3) of the surface that a part has from outside, mm."""
+    outer = domain.outer_surface
+    return domain.vertices[domain.faces] if outer is None else outer.triangles
 
 
 def listed_triangles(path: Path, count: int) -> I64:
