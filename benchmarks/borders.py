@@ -2,14 +2,12 @@
 
 Usage: ``python -m benchmarks.borders [--write]``; the latter puts the table into docs/howto/fill-your-own-mesh.md. Thin
 is what has a local thickness below 0.3 mm on voxels of 0.05 mm; patches are what of it is connected across faces of
-voxels. Times are those of a processor: of the layers, the least of three in turn, and of the whole run of
-``configs/quickstart.yaml`` with its pictures and its mesh, the lesser of two in turn.
+voxels. Times are those of a processor for all layers, the least of three in turn.
 """
 
 from __future__ import annotations
 
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 import sppm_pipeline as sppm
-from benchmarks.measure import run
 from sppm_pipeline.features.surface.numerics.simplifying import qualities, simplify
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
 from sppm_pipeline.method.connectivity.components import find_components
@@ -54,14 +51,6 @@ def options(name: str) -> dict[str, str]:
     return {f"fill.implicit.{option}": value for option, value in given.items()}
 
 
-def whole_run(name: str) -> float:
-    """Seconds of the whole run with a border, by a process of its own."""
-    given = [f"-s{option}={value}" for option, value in options(name).items()]
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "sppm_pipeline", "run", str(CONFIG), "-o", f"{folder}/run", "--no-cache"]
-        return float(run([*command, "--threads", "1", *given]).cpu)
-
-
 def main() -> None:
     """Print one line for each kind of border, and a table."""
     parts = {name: sppm.run(str(CONFIG), set=options(name), until="fill.implicit")["fill.implicit"] for name in WAYS}
@@ -73,11 +62,10 @@ def main() -> None:
     inside = sum(int(plain.inside_zyx(grid, k, min(nz, k + 18)).sum()) for k in range(0, nz, 18))
     made = {name: layers(part, grid)[0] for name, part in parts.items()}  # the first one compiles
     taken = {name: min(layers(part, grid)[1] for _ in range(3)) for name, part in parts.items()}
-    whole = {name: min(whole_run(name) for _ in range(2)) for name in WAYS}
     rows = [
         "| `border` | solid | in one piece | thinner than 0.3 mm | thin patches above 50 voxels | void open to the "
-        "outside | time of the layers | of the whole run |",
-        "|---|---|---|---|---|---|---|---|",
+        "outside | time |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, solid in made.items():
         sizes = find_components(solid, (False,) * 3).sizes
@@ -90,14 +78,16 @@ def main() -> None:
         share = thin.sum() / solid.sum()
         rows.append(
             f"| `{name}` | {solid.sum() / inside:.1%} | {sizes.max() / sizes.sum():.1%} | {share:.2%} | {patches} | "
-            f"{opened:.0%} | {taken[name] / taken['cut']:.2f} | {whole[name] / whole['cut']:.2f} |"
+            f"{opened:.0%} | {taken[name] / taken['cut']:.2f} |"
         )
+        if name not in ("cut", "round"):
+            continue
         mesh = MarchingCubes(resolution=40).run(PlainContext(), parts[name])
         simplify(mesh.vertices, mesh.faces, WITHIN)
         start = time.process_time()
         few = simplify(mesh.vertices, mesh.faces, WITHIN)
         print(
-            f"{name}: layers {taken[name]:.2f} s, run {whole[name]:.1f} s; {len(mesh.faces)} triangles, "
+            f"{name}: layers {taken[name]:.2f} s; {len(mesh.faces)} triangles, "
             f"{len(few.faces)} within {few.farthest:.4f} mm in {time.process_time() - start:.2f} s, genus "
             f"{genus(mesh.faces)} and {genus(few.faces)}, quality below 0.1: "
             f"{(qualities(mesh.vertices, mesh.faces) < 0.1).mean():.2%} and "

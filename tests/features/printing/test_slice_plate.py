@@ -21,7 +21,7 @@ def stack(shape, printer=None, seed=0, pixel=(0.05, 0.1)):
 def test_copies_and_different_parts_keep_their_layers():
     (a, la), (b, lb) = stack((4, 10, 20), seed=1), stack((7, 16, 9), seed=2)
     context = PlainContext()
-    plate = SlicePlate(quantity=(3, 2), separation=Length(0.3, "mm")).run(context, a, b, None, None)
+    plate = SlicePlate(quantity=(3, 2), separation=Length(0.3, "mm")).run(context, (a, b))
     whole = plate.to_array()
     assert plate.shape == whole.shape[::-1]
     assert plate.shape[2] == 7
@@ -73,7 +73,7 @@ def test_rows_end_at_the_room():
 def test_tags_stand_below_their_parts():
     part, _ = stack((30, 40, 80), seed=5)
     context = PlainContext()
-    plate = SlicePlate(quantity=(2,), labels=True).run(context, part, None, None, None)
+    plate = SlicePlate(quantity=(2,), labels=True).run(context, (part,))
     whole = plate.to_array()
     assert ndimage.label(whole[0] > 0)[1] == 4  # two parts, two tags, and none touches another
     assert ndimage.label(whole[5] > 0)[1] >= 4  # letters
@@ -93,14 +93,14 @@ def test_what_does_not_go_together():
     a, _ = stack((2, 20, 20))
     b, _ = stack((2, 20, 20), printer, pixel=(0.05, 0.05))
     with pytest.raises(DesignError, match="need the same pixels, layers and printer"):
-        SlicePlate().run(PlainContext(), a, b, None, None)
+        SlicePlate().run(PlainContext(), (a, b))
     with pytest.raises(ConfigError, match="`quantity` has 3 numbers for 1 part"):
-        SlicePlate(quantity=(1, 2, 3)).run(PlainContext(), a, None, None, None)
+        SlicePlate(quantity=(1, 2, 3)).run(PlainContext(), (a,))
     with pytest.raises(ConfigError, match="`quantity` is empty"):
         SlicePlate(quantity=()).check_options()
     large, _ = stack((2, 800, 800), printer, pixel=(0.05, 0.05))
-    six = SlicePlate(quantity=(6,), separation=Length(0)).run(PlainContext(), large, None, None, None)
+    six = SlicePlate(quantity=(6,), separation=Length(0)).run(PlainContext(), (large,))
     assert six.printer is printer
     assert (six.extent[0] <= 2560, six.extent[1] <= 1620) == (True, True)
     with pytest.raises(DesignError, match=r"7 parts 0 mm apart do not fit the plate of prusa_sl1s"):
-        SlicePlate(quantity=(7,), separation=Length(0)).run(PlainContext(), large, None, None, None)
+        SlicePlate(quantity=(7,), separation=Length(0)).run(PlainContext(), (large,))

@@ -15,6 +15,7 @@ from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.run.events import PluginHooks, list_of
+from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.verification import differences, verify_run
 from sppm_pipeline.errors import InputError, SppmError, described
 from sppm_pipeline.features.browser.live.page import (
@@ -280,6 +281,7 @@ def _facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("started", str(record["started"])),
         ("program", f"sppm {versions.get('sppm_pipeline', '?')}, Python {versions.get('python', '?')}"),
         ("configuration", Path(str(record["file"])).name),
+        ("make it again", f"sppm run {RECORD}"),  # options set on the command line stand in it, too
     ]
     return [*facts, ("until", str(record["until"]))] if record.get("until") else facts
 

@@ -149,8 +149,8 @@ def _layers(slabs: Iterator[Slab]) -> Iterator[U8]:
 class SlicePlate(Stage):
     """Place sliced parts side by side, in rows, the deepest first, so that one file prints them all.
 
-    The parts must have been sliced with the same pixels and layers. Each is computed once, however many copies there
-    are. Without a printer the plate is as large as it needs to be.
+    `from: {parts: [a, b]}` names them. They must have been sliced with the same pixels and layers. Each is computed
+    once, however many copies there are. Without a printer the plate is as large as it needs to be.
     """
 
     name: ClassVar[str] = "slice.plate"
@@ -168,13 +168,9 @@ class SlicePlate(Stage):
         if not self.quantity:
             raise ConfigError("`quantity` is empty", hint="one number holds for all parts")
 
-    def estimate(
-        self, palette: Palette, part: Size, second: Size | None, third: Size | None, fourth: Size | None
-    ) -> Size:
-        sizes = [size for size in (part, second, third, fourth) if size is not None]
-        copies = self._copies(len(sizes))
-        pixels = sum(size.pixels * n for size, n in zip(sizes, copies, strict=True))
-        return replace(part, pixels=1.5 * pixels, layers=max(size.layers for size in sizes))
+    def estimate(self, palette: Palette, parts: tuple[Size, ...]) -> Size:
+        pixels = sum(size.pixels * n for size, n in zip(parts, self._copies(len(parts)), strict=True))
+        return replace(parts[0], pixels=1.5 * pixels, layers=max(size.layers for size in parts))
 
     def _copies(self, parts: int) -> tuple[int, ...]:
         if len(self.quantity) not in (1, parts):
@@ -184,16 +180,9 @@ class SlicePlate(Stage):
             )
         return self.quantity if len(self.quantity) == parts else self.quantity * parts
 
-    def run(
-        self,
-        context: Context,
-        part: SliceStack,
-        second: SliceStack | None,
-        third: SliceStack | None,
-        fourth: SliceStack | None,
-    ) -> SliceStack:
+    def run(self, context: Context, parts: tuple[SliceStack, ...]) -> SliceStack:
         """Find places for all copies; no layer is computed yet."""
-        parts = [stack for stack in (part, second, third, fourth) if stack is not None]
+        part = parts[0]
         for other in parts[1:]:
             if (other.pixel_mm, other.layer_mm, other.printer) != (part.pixel_mm, part.layer_mm, part.printer):
                 raise DesignError(
@@ -228,7 +217,7 @@ class SlicePlate(Stage):
             ],
         )
         return PlateSlices(
-            parts=tuple(parts),
+            parts=parts,
             places=tuple(Placed(i, x, y + foot) for i, (x, y), foot in zip(numbers, corners, feet, strict=True)),
             extent=extent,
             tags=tuple((t, x, y) for t, (x, y) in zip(tags, corners, strict=True) if t is not None),
