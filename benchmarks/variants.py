@@ -1,6 +1,7 @@
 """The plate of ``examples/plate_of_variants.py``: what it takes, and whether its layers show twenty numbers.
 
-Usage: ``python -m benchmarks.variants [--write]``; the latter puts the table into docs/howto/printer-files.md and a
+Usage: ``python -m benchmarks.variants [--write] [RUN]``, with the folder of a finished run if there is one; `--write`
+puts the table into docs/howto/printer-files.md and a
 layer into docs/pictures/variants.png. The layers are read back from the print file. Parts that touch would be fewer
 than twenty components of all layers laid on each other. A number is read where the grooves of its sample are more like
 its strokes than like those of any other number, by correlation.
@@ -10,11 +11,11 @@ from __future__ import annotations
 
 import functools
 import io
+import json
 import re
 import runpy
 import sys
 import tempfile
-import time
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -81,22 +82,23 @@ def read_numbers(layers: U8, pixel_mm: float, count: int) -> tuple[int, list[tup
 
 def main() -> None:
     """Make the plate, read it back, and print what was found."""
+    given = [word for word in sys.argv[1:] if word != "--write"]
+    folder = Path(given[0] if given else tempfile.mkdtemp(prefix="variants-"))
     example: dict[str, Any] = runpy.run_path(str(ROOT / "examples" / "plate_of_variants.py"))
     count = len(example["POROSITIES"]) * len(example["CELLS_MM"])
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.process_time()
-        run = example["plate"]().run(f"{folder}/run")
-        seconds = time.process_time() - start
-        layers = layers_of(Path(folder, "run", "plate.sl1"))
+    if not given:
+        example["plate"]().run(folder)
+    stages = json.loads((folder / "run.json").read_text("utf-8"))["stages"]
+    n = next(stage["summary"] for stage in stages if stage["stage"] == "check.print")
+    layers = layers_of(folder / "plate.sl1")
     parts, found, way = read_numbers(layers, 0.05, count)
     read = sorted(number for number, *_ in found)
-    n = {name: run.numbers[f"check.print.{name}"] for name in ("resin_g", "resin_ml", "print_time_s", "price")}
-    least, other = min(score for _, score, _ in found), max(score for *_, score in found)
+    lead = min(score - other for _, score, other in found)
     rows = [
-        "| samples | apart | numbers read | worst correlation, best wrong one | resin | time | price | computed in |",
-        "|---|---|---|---|---|---|---|---|",
-        f"| {count} | {parts} | {len(set(read))} | {least:.2f}, {other:.2f} | {n['resin_g']:.0f} g, "
-        f"{n['resin_ml']:.0f} ml | {n['print_time_s'] / 3600:.1f} h | {n['price']:.2f} | {seconds:.0f} CPU-s |",
+        "| samples | apart | numbers read | least correlation, lead over the next best | resin | time | price |",
+        "|---|---|---|---|---|---|---|",
+        f"| {count} | {parts} | {len(set(read))} | {min(score for _, score, _ in found):.2f}, {lead:.3f} | "
+        f"{n['resin_g']:.0f} g, {n['resin_ml']:.0f} ml | {n['print_time_s'] / 3600:.1f} h | {n['price']:.2f} |",
     ]
     table = "\n".join(rows) + "\n"
     print(table, read)

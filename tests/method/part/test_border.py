@@ -67,7 +67,7 @@ def test_a_plate_that_a_plane_cuts_ends_in_the_round_of_the_ball():
     near = (abs(exact) < NODE) & (np.hypot(dx, dz) > 0)
     assert near.sum() > 1000
     assert abs(field - exact)[near].max() < 0.52 * NODE  # where balls meet the corner of their middles
-    assert abs(field - exact)[near].mean() < 0.04 * NODE
+    assert abs(field - exact)[near].mean() < 0.08 * NODE
 
 
 def test_faces_of_a_full_box_stay_flat_and_its_edges_get_round():
