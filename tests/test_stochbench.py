@@ -84,12 +84,32 @@ def test_a_twin_is_another_structure_with_the_porosity_of_the_scan():
     assert (made != scan).mean() > 0.1
 
 
+@pytest.mark.filterwarnings("ignore:.*no load path")
+def test_a_tensor_is_compared_in_any_axes():
+    tensor = bench.load(bench.HERE / "tensor" / "check.py")
+    task = json.loads((bench.HERE / "tensor" / "task.json").read_text(encoding="utf-8"))
+    _, straight, turned = (np.array(one["stiffness"]) for one in task["inputs"])
+    assert tensor.norm(turned) == pytest.approx(tensor.norm(straight), rel=1e-4)  # the norm does not know the axes
+    assert tensor.norm(turned - straight) > 0.1 * tensor.norm(straight)
+    layers = np.zeros((8, 8, 8), bool)
+    layers[:4] = True
+    found = tensor.check([layers], [{"stiffness": task["inputs"][0]["stiffness"], "porosity": 0.5}], {"poisson": 0.3})
+    exact = np.zeros((6, 6))  # layers across x: plane stress in y and z, nothing along x
+    exact[1:3, 1:3] = 0.5 / (1 - 0.3**2) * np.array([[1, 0.3], [0.3, 1]])
+    exact[3, 3] = 0.5 / 2.6
+    target = np.array(task["inputs"][0]["stiffness"])
+    assert found["mean distance"] == pytest.approx(tensor.norm(exact - target) / tensor.norm(target), rel=1e-3)
+    assert found["largest difference of porosity"] == 0
+
+
 def test_every_task_has_inputs_truth_and_a_checker():
-    assert set(bench.tasks()) == {"connected", "defects", "fill", "porosity", "stiffness", "twin"}
+    assert set(bench.tasks()) == {"connected", "defects", "fill", "porosity", "stiffness", "tensor", "twin"}
     for folder in bench.tasks().values():
         task = json.loads((folder / "task.json").read_text(encoding="utf-8"))
         assert task["truth"]
-        keys = {"scan", "seed"} if folder.name == "twin" else {"porosity", "seed", "n"}
+        keys = {"twin": {"scan", "seed"}, "tensor": {"stiffness", "porosity", "seed", "n"}}.get(
+            folder.name, {"porosity", "seed", "n"}
+        )
         assert all(set(one) == keys for one in task["inputs"])
         assert callable(bench.load(folder / "check.py").check)
         assert f"| `{folder.name}` |" in (bench.HERE / "README.md").read_text(encoding="utf-8")

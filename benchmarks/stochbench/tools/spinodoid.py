@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 WAVES, LENGTH = 1000, 1 / 5
 """Number of waves, and their length in cell edges; wave vectors are rounded to periodic ones."""
 
 
-def make(porosity, seed, n, length=LENGTH):
+def make(porosity, seed, n, length=LENGTH, stretch=(1, 1, 1)):
     """See README.md."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(WAVES, 3))
-    waves = np.rint(directions / np.linalg.norm(directions, axis=1, keepdims=True) / length)
+    waves = np.rint(directions / np.linalg.norm(directions, axis=1, keepdims=True) / length / np.array(stretch))
     axis, phase = 2 * np.pi * (np.arange(n) + 0.5) / n, rng.uniform(0, 2 * np.pi, WAVES)
     parts = [np.exp(1j * np.outer(waves[:, i], axis)) for i in range(3)]
     field = np.einsum("w,wx,wy,wz->xyz", np.exp(1j * phase), *parts, optimize=True).real
@@ -27,6 +29,17 @@ def twin(scan, seed):
         off = np.abs(_covariance(trial) - given).max()
         best = (off, trial) if best is None or off < best[0] else best
     return best[1]
+
+
+def like(stiffness, porosity, seed, n):
+    """The nearest of 27 that are stretched along the axes, each measured on a coarse grid."""
+    import sppm_pipeline as sppm
+
+    def off(stretch):
+        image = sppm.Voxels.from_array(make(porosity, seed, 24, stretch=stretch).astype(np.uint8), periodic=True)
+        return np.linalg.norm(sppm.homogenize.voxel(image, grids=1).stiffness - stiffness)
+
+    return make(porosity, seed, n, stretch=min(product((0.8, 1, 1.3), repeat=3), key=off))
 
 
 def _covariance(solid):
