@@ -84,7 +84,7 @@ def test_a_twin_is_another_structure_with_the_porosity_of_the_scan():
     assert (made != scan).mean() > 0.1
 
 
-@pytest.mark.filterwarnings("ignore:.*no load path")
+@pytest.mark.filterwarnings("ignore::sppm_pipeline.SppmWarning")
 def test_a_tensor_is_compared_in_any_axes():
     tensor = bench.load(bench.HERE / "tensor" / "check.py")
     task = json.loads((bench.HERE / "tensor" / "task.json").read_text(encoding="utf-8"))
