@@ -51,6 +51,7 @@ LONG = (
     "tests/plugins/test_distributions.py",
     "tests/test_hostile_options.py",
     "tests/test_configs.py",
+    "tests/docs/test_paper.py",
     "tests/docs/test_python.py",
     "tests/test_packaging.py",
     "tests/engine/cli/test_supervision.py",
@@ -58,6 +59,7 @@ LONG = (
     "tests/engine/cli/test_resources.py",
     "tests/engine/test_hostile_plugins.py",
     "tests/features/surface/test_extract_manifold_sdf.py",
+    "tests/features/surface/test_fill_boolean.py",
     "tests/features/stiffness/test_exact_relations.py",
     "plugins/sppm-tetrahedra/tests/test_tetrahedral.py",
     "tests/method/connecting/test_bounded.py",
@@ -79,6 +81,11 @@ LONG = (
 )
 """Files that take longer than the others, the longest first: they come first, so that no process is left with one when
 all others have ended. With ``--dist loadfile`` alone, those with many tests would come first, which are rarely long."""
+
+
+def pytest_xdist_auto_num_workers(config):
+    """Processes of ``-n auto``: one more than processors, as tests of what hangs and of other programs wait."""
+    return (os.cpu_count() or 1) + 1
 
 
 def pytest_configure(config):

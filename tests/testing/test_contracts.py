@@ -181,6 +181,16 @@ class Liar(Stage):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Vandal(Stage):
+    """Changes what it is given."""
+
+    name: ClassVar[str] = "check.vandal"
+
+    def run(self, context: Context, number: Number) -> None:
+        object.__setattr__(number, "value", number.value + 1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Steps(Stage):
     """Layers of a staircase."""
 
@@ -220,13 +230,13 @@ class OldSteps(Steps):
     ("contract", "stage", "test"),
     [
         (SamplerContract, Careless(), "test_same_seed_same_result"),
-        (SamplerContract, Careless(), "test_leaves_global_random_numbers_alone"),
+        (SamplerContract, Careless(), "test_makes_what_it_announces_and_changes_nothing_else"),
         (SamplerContract, Threaded(), "test_same_seed_same_result"),
         (SamplerContract, Stubborn(), "test_fills_every_interior_that_is_asked_for"),
         (SamplerContract, Stubborn(), "test_keeps_the_pores_that_are_there"),
         (SlicerContract, OldSteps(), "test_pixels_have_a_pitch_along_x_and_one_along_y"),
         (SlicerContract, OldSteps(), "test_layers_come_from_the_bottom_without_a_gap"),
-        (StageContract, Liar(), "test_makes_what_it_announces"),
+        (StageContract, Liar(), "test_makes_what_it_announces_and_changes_nothing_else"),
         (StageContract, Liar(), "test_has_a_name_of_family_and_word"),
         (StageContract, Liar(), "test_says_what_it_does"),
     ],
@@ -235,6 +245,15 @@ def test_a_broken_contract_is_noticed(contract, stage, test):
     suite = type("Suite", (contract,), {"stages": lambda self: [stage]})()
     with pytest.raises(AssertionError):
         getattr(suite, test)()
+
+
+def test_a_changed_input_is_noticed():
+    class Suite(TestScale):
+        def stages(self):
+            return [Vandal()]
+
+    with pytest.raises(AssertionError):
+        Suite().test_makes_what_it_announces_and_changes_nothing_else()
 
 
 def test_outputs_of_a_plain_context(tmp_path):
