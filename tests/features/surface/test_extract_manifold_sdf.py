@@ -26,15 +26,15 @@ def mesh(field, cls=ManifoldSdf, **options):
 
 
 def test_a_cell_is_as_marching_cubes_has_it(cell):
-    made, found, told = mesh(cell, resolution=40)
-    _, other, _ = mesh(cell, MarchingCubes, resolution=40)
+    made, found, told = mesh(cell, resolution=64)
+    _, other, _ = mesh(cell, MarchingCubes, resolution=64)
     assert found.edges.closed
     assert (found.genus, found.components) == (other.genus, other.components)
     assert found.volume == pytest.approx(other.volume, rel=0.01)
     assert made.vertices.min() == 0.0
     assert made.vertices.max() == 1.0
     assert told["status"] == "NoError"
-    assert told["samples"] == 41**3 + 42**3
+    assert told["samples"] == 65**3 + 66**3
 
 
 @pytest.mark.parametrize("skin", [0.0, 0.9])
@@ -91,7 +91,8 @@ def test_what_cannot_be(cell, wang_tiling, ball, monkeypatch):
 class TestContract(StageContract):
     @pytest.fixture(autouse=True)
     def _given(self, wang_tiling, wedge):
-        self.given = {"field": Part(wang_tiling, wedge, 0.4)}
+        part = SurfaceMesh(0.5 * wedge.vertices, wedge.faces, "wedge")
+        self.given = {"field": Part(wang_tiling, part, 0.4)}
 
     def stages(self):
         return [

@@ -39,7 +39,7 @@ def domains():
 def test_volume_is_that_of_the_implicit_way(wang_tiling, which, skin):
     domain = domains()[which]
     part = Part(wang_tiling, domain, skin.mm() if skin else 0.0, "keep")
-    n = 48
+    n = 40  # sides of the box lie between voxels
     voxels = int(part.solid(cell_centers(n, wang_tiling.cells)).sum()) * (4 / n) ** 3
     off = []
     for resolution in (20, 40):
@@ -64,7 +64,7 @@ def test_shells_of_the_part_that_overlap_are_united(wang_tiling):
     domain = SurfaceMesh(vertices, np.concatenate([f, g + len(v), inner[:, ::-1] + len(v) + len(w)]), "two boxes")
     made, found = fill(wang_tiling, domain, islands="keep", resolution=20)
     part = Part(wang_tiling, domain, 0.0, "keep")
-    n = 48
+    n = 40
     voxels = int(part.solid(cell_centers(n, wang_tiling.cells)).sum()) * (4 / n) ** 3
     assert found["domain_volume_mm3"] == pytest.approx(domain.outer_surface.volume, rel=1e-6)
     assert volume(made.vertices, made.faces) == pytest.approx(voxels, rel=0.03)

@@ -28,7 +28,7 @@ def middles(vertices, faces):
 
 
 def test_a_ball_keeps_to_its_radius_at_vertices_and_middles():
-    vertices, faces = ball_mesh((1.0, 2.0, 3.0), 5.0, 5)
+    vertices, faces = ball_mesh((1.0, 2.0, 3.0), 5.0, 4)
     made = simplify(vertices, faces, 0.05)
     assert len(made.faces) < len(faces) / 8
     given = 5.0 - np.linalg.norm(middles(vertices, faces) - [1, 2, 3], axis=1).min()  # of a polyhedron
