@@ -156,7 +156,7 @@ def test_opposite_faces_are_equal_to_the_last_bit(options):
 
 @pytest.mark.parametrize("options", [{}, {"form": "closed"}, {"layout": "part", "cells": (3, 3, 3)}])
 def test_layers_threads_and_cuts_give_the_same_bytes(options):
-    grid = Grid((0.013, 0.2, 0.07), (1 / 37,) * 3, (80, 70, 60))
+    grid = Grid((0.013, 0.2, 0.07), (1 / 37,) * 3, (50, 44, 36))
     whole = made(**options).sample(grid)
     assert (made(**options).sample(grid, 3) == whole).all()
     assert (made(**options).sample_layers(grid, 11, 29) == whole[:, :, 11:29]).all()

@@ -62,7 +62,7 @@ def test_boxes_get_the_pores_they_get_alone(count, share, monkeypatch):
 
 
 def test_a_box_that_is_too_full_is_left():
-    points = np.argwhere(np.ones((5, 5, 5))) / 4
+    points = np.ascontiguousarray(np.argwhere(np.ones((5, 5, 5))) / 4)
     around = Surrounding(points, np.array([0, 125]), np.array([0]), np.zeros((1, 3), np.int64), np.array([0, 0, 1, 1]))
     streams = np.arange(3, dtype=np.uint64)
     found = by_box(throw_many(streams, 25, 0.22, LOW, HIGH, around=around, obstacles=None))
