@@ -10,7 +10,7 @@ import numpy as np
 
 from sppm_pipeline.features.grading.curved_cells import CurvedCells
 from sppm_pipeline.method.fields.formula import CellCache
-from sppm_pipeline.method.fields.scalar_field import RepeatedField, ScalarField
+from sppm_pipeline.method.fields.scalar_field import Placed, RepeatedField, ScalarField
 from sppm_pipeline.services.arrays import F32, F64, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
@@ -107,7 +107,7 @@ POINTS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class WarpedField(ScalarField):
+class WarpedField(Placed, ScalarField):
     """Another field whose cells are bent; void farther than half a cell outside of them.
 
     The field is sampled once in each cell that it has, or in the only one if it repeats, and interpolated by cubics.
@@ -137,14 +137,6 @@ class WarpedField(ScalarField):
     @property
     def periodic(self) -> bool:
         return False
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.edge
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.origin
 
     @property
     def finest_radius(self) -> float | None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.scalar_field import Placed, ScalarField
 from sppm_pipeline.services.arrays import F32, F64, I32, U8
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.threads import ordered_map
@@ -36,7 +36,7 @@ Span = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PlacedField(ScalarField):
+class PlacedField(Placed, ScalarField):
     """Base of fields with a size and a place of their own.
 
     Attributes
@@ -60,14 +60,6 @@ class PlacedField(ScalarField):
     @property
     def periodic(self) -> bool:
         return self.region is None
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.edge
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.origin
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

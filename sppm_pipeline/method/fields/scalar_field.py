@@ -281,6 +281,21 @@ class ScalarField(Artifact, ABC):
         return self.edge_mm
 
 
+class Placed:
+    """Size and place of a field that keeps them itself, in `edge` and `origin`."""
+
+    edge: float | None
+    origin: tuple[float, float, float]
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.edge
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.origin
+
+
 @dataclass(frozen=True, eq=False)
 class WrappedField(ScalarField):
     """Base of fields made from another field; size, place and finest detail are those of the other one.
@@ -402,7 +417,7 @@ class CleanedField(WrappedField):
 
 
 @dataclass(frozen=True, eq=False)
-class RepeatedField(WrappedField):
+class RepeatedField(Placed, WrappedField):
     """Any field that is periodic with one cell, taken as the content of a whole lattice."""
 
     extent: tuple[int, int, int]  # cells of the lattice
@@ -412,14 +427,6 @@ class RepeatedField(WrappedField):
     @property
     def cells(self) -> tuple[int, int, int]:
         return self.extent
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.edge
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.origin
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> F32:
         return self.base.sample_layers(grid, start, stop, threads)

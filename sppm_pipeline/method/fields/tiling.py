@@ -10,6 +10,7 @@ import numpy as np
 from sppm_pipeline.method.assembly.contents import TilingArrays, check_tiling
 from sppm_pipeline.method.fields.kernel_sum import KernelSum, Patches
 from sppm_pipeline.method.fields.microstructure import CUTOFF, sampling_tables
+from sppm_pipeline.method.fields.scalar_field import Placed
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.services.arrays import F32, I32, distinct
 from sppm_pipeline.services.grid import Grid
@@ -30,7 +31,7 @@ distinguished.
 
 
 @dataclass(frozen=True, eq=False)
-class Tiling(KernelSum):
+class Tiling(Placed, KernelSum):
     """The content of every cell of a lattice; the field is the sum of all kernels of all cells, shared faces once.
 
     Attributes
@@ -96,14 +97,6 @@ class Tiling(KernelSum):
     @property
     def thinnest_wall(self) -> float | None:
         return self.tileset.micro.thinnest_wall
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.edge
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.origin
 
     @property
     def solid_below(self) -> float:

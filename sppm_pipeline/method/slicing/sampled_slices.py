@@ -13,7 +13,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.printer import Printer
 from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.method.slicing.slice_stack import Slab, Slabs, SliceStack
+from sppm_pipeline.method.slicing.slice_stack import Pitched, Slab, Slabs
 from sppm_pipeline.method.slicing.spool import Spool
 from sppm_pipeline.services.arrays import U8, U64
 from sppm_pipeline.services.grid import Grid
@@ -45,7 +45,7 @@ class _Kept:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SampledSlices(SliceStack):
+class SampledSlices(Pitched):
     """Base of layers decided at the mid-height of each, at the middle of the pixels or of their parts.
 
     A subclass decides which samples are solid. Islands are removed in a pass ahead of the delivering one; the
@@ -60,18 +60,6 @@ class SampledSlices(SliceStack):
     sublayers: int = 1  # for gray layers: so many heights of each layer are sampled
     machine: Printer | None = None  # the printer that the layers are cut for
     _kept: _Kept = field(default_factory=_Kept, init=False, compare=False, repr=False)
-
-    @property
-    def printer(self) -> Printer | None:
-        return self.machine
-
-    @property
-    def pixel_mm(self) -> tuple[float, float]:
-        return self.pitch[:2]
-
-    @property
-    def layer_mm(self) -> float:
-        return self.pitch[2]
 
     @property
     def shape(self) -> tuple[int, int, int]:

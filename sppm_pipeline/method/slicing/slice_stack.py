@@ -78,8 +78,8 @@ class SliceStack(Artifact, ABC):
     def shape(self) -> tuple[int, int, int]: ...
 
     @property
-    @abstractmethod
-    def origin_mm(self) -> tuple[float, float, float]: ...
+    def origin_mm(self) -> tuple[float, float, float]:
+        return (0.0, 0.0, 0.0)
 
     @property
     def printer(self) -> Printer | None:
@@ -235,13 +235,11 @@ class SliceStack(Artifact, ABC):
         return made if self.printer is None else {**made, "printer": self.printer.name}
 
 
-@dataclass(frozen=True, eq=False)
-class ArraySlices(SliceStack):
-    """Layers that are there already, uint8 [layer, y, x], with the low corner of the stack at the origin."""
+class Pitched(SliceStack):
+    """Base of layers that keep their pitch and the printer they are cut for themselves."""
 
-    layers: U8
     pitch: tuple[float, float, float]
-    machine: Printer | None = None
+    machine: Printer | None
 
     @property
     def printer(self) -> Printer | None:
@@ -255,14 +253,19 @@ class ArraySlices(SliceStack):
     def layer_mm(self) -> float:
         return self.pitch[2]
 
+
+@dataclass(frozen=True, eq=False)
+class ArraySlices(Pitched):
+    """Layers that are there already, uint8 [layer, y, x], with the low corner of the stack at the origin."""
+
+    layers: U8
+    pitch: tuple[float, float, float]
+    machine: Printer | None = None
+
     @property
     def shape(self) -> tuple[int, int, int]:
         nz, ny, nx = self.layers.shape
         return nx, ny, nz
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return (0.0, 0.0, 0.0)
 
     @property
     def gray(self) -> bool:

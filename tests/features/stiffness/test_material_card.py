@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.stiffness.material_card import abaqus_card, abaqus_constants
+from sppm_pipeline.features.stiffness.stages.write_stiffness import abaqus_card, abaqus_constants
 
 # the 21 places of Abaqus' anisotropic card, written out: Dijkl with 11, 22, 33, 12, 13, 23
 PLACES = "1111 1122 2222 1133 2233 3333 1112 2212 3312 1212 1113 2213 3313 1213 1313 1123 2223 3323 1223 1323 2323"

@@ -7,8 +7,7 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.stiffness.material_card import abaqus_constants
-from sppm_pipeline.features.stiffness.stages.write_stiffness import WriteStiffness
+from sppm_pipeline.features.stiffness.stages.write_stiffness import WriteStiffness, abaqus_constants
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.services.elastic.voigt import isotropic
 from sppm_pipeline.services.formats import ply

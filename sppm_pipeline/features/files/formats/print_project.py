@@ -74,9 +74,9 @@ class _Reader(XmlReader):
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         if tag == "object":
-            self._object = self.objects.setdefault(self._number(attributes, "id"), Listed())
+            self._object = self.objects.setdefault(self.number(attributes, "id"), Listed())
         elif tag == "volume":
-            self._range = self._number(attributes, "firstid"), self._number(attributes, "lastid") + 1
+            self._range = self.number(attributes, "firstid"), self.number(attributes, "lastid") + 1
             self._settings = {}
         elif tag == "metadata" and self.path:
             kept = self._settings if self.path[-1] == "volume" else self._object.settings
@@ -92,12 +92,6 @@ class _Reader(XmlReader):
         name = self._settings.get("name", "")
         settings = {key: value for key, value in self._settings.items() if key and not key.startswith(_OF_MESH)}
         self._object.bodies.append(Body(name, kind, settings, *self._range))
-
-    def _number(self, attributes: dict[str, str], key: str) -> int:
-        text = attributes.get(key, "")
-        if not (text.isascii() and text.isdigit() and len(text) <= 10):
-            self.fail(f"{key} is a positive integer, not {text[:40]!r}")
-        return int(text)
 
 
 def require_ranges(bodies: Sequence[Body], triangles: int, name: str) -> None:

@@ -135,6 +135,13 @@ class XmlReader:
             if size > _SLACK + _PER_ELEMENT * self._elements:
                 self.fail(f"{size} bytes of XML hold only {self._elements} elements")
 
+    def number(self, attributes: dict[str, str], key: str) -> int:
+        """A positive integer of an element."""
+        text = attributes.get(key, "")
+        if not (text.isascii() and text.isdigit() and len(text) <= 10):
+            self.fail(f"{key} is a positive integer, not {text[:40]!r}")
+        return int(text)
+
     def fail(self, message: str, line: int | None = None, hint: str | None = None) -> NoReturn:
         """Raise the InputError for the place that is being read."""
         where = f"{self._part}, line {self._parser.CurrentLineNumber if line is None else line}"
@@ -203,7 +210,7 @@ class _ModelReader(XmlReader):
         elif around is None:
             self._start_model(tag, attributes)
         elif tag == _OBJECT and around == _RESOURCES:
-            self._identifier = self._number(attributes, "id")
+            self._identifier = self.number(attributes, "id")
             if self._identifier in self._objects:
                 self.fail(f"there are two objects with the id {self._identifier}")
             self._kind, self._object_name = attributes.get("type", "model"), attributes.get("name", "")
@@ -258,13 +265,7 @@ class _ModelReader(XmlReader):
         if self._uses > MAX_PLACED:
             self.fail(f"there are more than {MAX_PLACED} components and items")
         part = attributes.get(_PATH)
-        return Use(part, self._number(attributes, "objectid"), self._matrix(attributes.get("transform")))
-
-    def _number(self, attributes: dict[str, str], key: str) -> int:
-        text = attributes.get(key, "")
-        if not (text.isascii() and text.isdigit() and len(text) <= 10):
-            self.fail(f"{key} is a positive integer, not {text[:40]!r}")
-        return int(text)
+        return Use(part, self.number(attributes, "objectid"), self._matrix(attributes.get("transform")))
 
     def _matrix(self, text: str | None) -> Matrix:
         if text is None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from sppm_pipeline.numerics import inline_jit, jit
 from sppm_pipeline.services.arrays import F64, I32, I64, Bools
+from sppm_pipeline.services.union_find import find_root
 
 DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1),
               (1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1))  # fmt: skip
@@ -308,14 +309,6 @@ def entry_sizes(squared: I32) -> I32:
     return out.reshape(squared.shape)
 
 
-@inline_jit
-def _root(parent: I32, at: int) -> int:
-    while parent[at] != at:
-        parent[at] = parent[parent[at]]
-        at = parent[at]
-    return at
-
-
 @jit
 def _flood(order: I64, squared: I32, nz: int, ny: int, nx: int, out: I32) -> None:
     """Join voxels in order; a part that meets the sides gives its size to all it holds, which are kept in lists."""
@@ -340,7 +333,7 @@ def _flood(order: I64, squared: I32, nz: int, ny: int, nx: int, out: I32) -> Non
             other = (z * ny + y) * nx + x
             if parent[other] < 0:
                 continue
-            a, b = _root(parent, at), _root(parent, other)
+            a, b = find_root(parent, at), find_root(parent, other)
             if a == b:
                 continue
             if open_[a] != open_[b]:
