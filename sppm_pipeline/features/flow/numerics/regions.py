@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics import jit
-from sppm_pipeline.services.union_find import find_root
+from sppm_pipeline.numerics import inline_jit, jit
 
 SMOOTHED = 0.4
 """Standard deviation, in voxels, of the Gaussian that makes less of the steps of distances, as in SNOW."""
@@ -56,6 +55,14 @@ def parted(void: NDArray[np.bool_], spacing: tuple[float, ...]) -> tuple[NDArray
     return regions, distance
 
 
+@inline_jit
+def _root(parent: NDArray[np.int32], at: int) -> int:
+    while parent[at] != at:
+        parent[at] = parent[parent[at]]
+        at = parent[at]
+    return at
+
+
 @jit
 def join_down(
     order: NDArray[np.int64], distance: NDArray[np.float64], markers: NDArray[np.int32], out: NDArray[np.int32]
@@ -75,17 +82,17 @@ def join_down(
             best, depth = -1, -1.0
             for there, step in steps:  # the deepest first, of which the root is not its own yet
                 if there and parent[at + step] >= 0 and deep[at + step] > depth:
-                    a, b = find_root(parent, at), find_root(parent, at + step)
+                    a, b = _root(parent, at), _root(parent, at + step)
                     if a != b and (label[a] == 0 or label[b] == 0):
                         best, depth = at + step, deep[at + step]
             if best < 0:
                 break
-            a, b = find_root(parent, at), find_root(parent, best)
+            a, b = _root(parent, at), _root(parent, best)
             label[b] = max(label[a], label[b])
             parent[a] = b
     flat = out.ravel()
     for at in order:
-        flat[at] = label[find_root(parent, at)]
+        flat[at] = label[_root(parent, at)]
 
 
 def regions_of(void: NDArray[np.bool_], spacing: tuple[float, ...]) -> Regions:
