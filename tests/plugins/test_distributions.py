@@ -49,7 +49,7 @@ STAGES = {
         "write.volume_mesh",
     },
     "tetwild": {"mesh.tetwild"},
-    "lib3mf": {"write.3mf_slices"},
+    "lib3mf": {"write.3mf_beams", "write.3mf_slices"},
     "cad": {"read.cad"},
     "crushing": {
         "crush.voxel",
