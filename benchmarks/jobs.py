@@ -110,8 +110,8 @@ def known(folder: Path) -> dict[str, Any]:
             "floating_parts",
             "thin_solid_share",
         ):
-            if summary.get(key) is not None:  # the first is `check.print`; files count without what is washed away
-                found.setdefault(key, summary[key])
+            if summary.get(key) is not None:  # of files, which come last, without what is washed away
+                found[key] = summary[key]
         if stage["stage"] == "simulate.part":
             found["tested"] = summary
         if stage["stage"] == "homogenize.voxel":

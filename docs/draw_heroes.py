@@ -1,16 +1,18 @@
-"""Draw the pictures of `docs/pictures/hero-*.png`: things made of primitives, in one material each, some beside a plain
-disc of 23 mm, as large as a coin.
+"""Draw the pictures of `docs/pictures/hero-*.jpg`: things made of primitives, and an insole, in one material each, some
+beside a plain disc of 23 mm, as large as a coin.
 
-Usage: ``python docs/draw_heroes.py [--size 2400] [NAMES]`` writes them, 1200 pixels wide if no size is given, and
-prints the seconds of processor time of each picture.
+Usage: ``python docs/draw_heroes.py [--size 2400] [NAMES]`` writes them, 2400 pixels wide if no size is given, each in
+the best quality that fits 600 kB, and prints the seconds of processor time of each picture.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
+import runpy
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,8 @@ CELL = [
     {"stage": "connect.mbdst", "degree": [3, 5], "mode": "greedy"},
     {"stage": "field.gaussian", "pore_radius": 0.11, "tunnel_radius": 0.03},
 ]
+
+MAX_BYTES = 600_000
 
 Place = tuple[float, float, float]
 
@@ -74,6 +78,27 @@ def heat_sink() -> sppm.SurfaceMesh:
     return combined(body("box", 34, 34, 2.4), "union", body("box", 34, 5, 16), *ribs)
 
 
+def insole() -> sppm.SurfaceMesh:
+    """The insole of examples/jobs, with its heel to the front."""
+    make: Callable[[], sppm.SurfaceMesh] = runpy.run_path(str(ROOT / "examples" / "jobs" / "make_parts.py"))["insole"]
+    return make()
+
+
+def bolts() -> sppm.SurfaceMesh:
+    """The bolts of the bracket: two through its base, two through its wall."""
+    pin = body("cylinder", 6.6, 6.6, 24)
+    upright = combined(pin, "union", pin, (0, -22, 0))
+    lying = combined(body("box", 1, 1, 1), "union", pin, (-42, 11, 57), (-42, -11, 57), turn=(0, 90, 0))
+    return combined(lying, "union", upright, (25, 11, -6))
+
+
+def bracket() -> sppm.SurfaceMesh:
+    """An angle with a gusset and four holes for bolts."""
+    angle = combined(body("box", 70, 40, 14), "union", body("box", 14, 40, 70), (-28, 0, 0))
+    gusset = combined(body("box", 34, 40, 34), "difference", body("box", 90, 60, 90), (0, 0, 17), turn=(0, 45, 0))
+    return combined(combined(angle, "union", gusset, (-4, 0, 14)), "difference", bolts())
+
+
 def coin() -> sppm.SurfaceMesh:
     """A plain disc of 23 mm with a rim."""
     return combined(body("cylinder", 23, 23, 2.2), "difference", body("cylinder", 20.6, 20.6, 4), (0, 0, 1.8))
@@ -88,12 +113,16 @@ TITANIUM, BONE, RESIN = {"material": "titanium"}, {"material": "bone"}, {"materi
 OPEN = {"section": 0.5, "section_along": "corner", "cut": "plain"}
 
 HEROES: dict[str, tuple[Any, str, dict[str, Any], Place | None, dict[str, Any]]] = {
-    "cage": (primitive("cylinder", 22, 22, 12), "4 mm", {"skin": "0.9 mm"}, None, TITANIUM | OPEN | {"azimuth": -52.0}),
-    "knot": (primitive("torus_knot", 30, 30, 15), "4 mm", {}, None, RESIN | {"elevation": 30.0}),
-    "ball": (
-        primitive("ball", 24, 24, 24), "4 mm", {}, None,
-        BONE | {"section": 0.5, "section_along": "corner", "azimuth": -48.0, "background": "dark"},
+    "insole": (
+        insole, "10 mm", {"skin": "1.4 mm", "skin_toward": [[0, 0, 1]]}, None,
+        RESIN | {"section": 0.82, "section_along": "x", "cut": "plain", "azimuth": -143.0, "elevation": 24.0,
+                 "resolution": 40},
     ),
+    "bracket": (
+        bracket, "7 mm", {"skin": "1.5 mm"}, None,
+        TITANIUM | {"section": 0.775, "section_along": "y", "cut": "plain", "azimuth": -62.0, "elevation": 24.0},
+    ),
+    "knot": (primitive("torus_knot", 30, 30, 15), "4 mm", {}, None, RESIN | {"elevation": 30.0}),
     "implant": (implant_cage, "4 mm", {}, (4, -20.45, 0), TITANIUM | {"azimuth": -65.0, "elevation": 32.0}),
     "liner": (helmet_liner, "10 mm", {}, None, RESIN | {"azimuth": -62.0, "elevation": 24.0}),
     "handle": (handle, "6 mm", {"skin": "1.2 mm"}, None, RESIN | OPEN | {"azimuth": -58.0, "elevation": 24.0}),
@@ -121,11 +150,16 @@ def drawn(name: str, width: int, path: Path) -> float:
     began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         sppm.write.picture(
-            part, path="hero.png", image_size=(width, width * 3 // 4), resolution=48, shadow=True, annotate=False,
-            output=folder, **view,
+            part, path="hero.png", image_size=(width, width * 3 // 4), shadow=True, annotate=False, output=folder,
+            **{"resolution": 48, **view},
         )  # fmt: skip
         picture = Image.open(Path(folder, "hero.png")).convert("RGB")
-    picture.quantize(192, dither=Image.Dither.FLOYDSTEINBERG).save(path, "PNG", optimize=True)
+    for quality in range(92, 40, -4):
+        file = io.BytesIO()
+        picture.save(file, "JPEG", quality=quality, optimize=True, progressive=True)
+        if file.tell() <= MAX_BYTES:
+            break
+    path.write_bytes(file.getvalue())
     return time.process_time() - began
 
 
@@ -133,11 +167,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Draw those that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAMES", help=f"of {', '.join(HEROES)}; all if omitted")
-    parser.add_argument("--size", type=int, default=1200, help="width in pixels")
+    parser.add_argument("--size", type=int, default=2400, help="width in pixels")
     parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "pictures")
     args = parser.parse_args(arguments)
     for name in args.names or HEROES:
-        path = args.folder / f"hero-{name}.png"
+        path = args.folder / f"hero-{name}.jpg"
         seconds = drawn(name, args.size, path)
         print(f"{path.name}: {seconds:.1f} CPU-s, {path.stat().st_size / 1e6:.2f} MB")
 

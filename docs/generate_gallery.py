@@ -70,10 +70,11 @@ GALLERY = {
 """Title of each example, and which of its files is its picture, by heading."""
 
 THINGS = {
-    "implant": "A cage between two vertebrae", "cage": "A puck with a skin, cut open",
+    "insole": "An insole, cut open", "bracket": "A bracket with a skin, cut open",
+    "implant": "A cage between two vertebrae",
     "liner": "A pad of a helmet liner", "handle": "A handle with a skin, cut open",
     "filter": "A filter cartridge", "sink": "A heat sink with open ribs",
-    "knot": "A torus knot", "ball": "A ball, cut open",
+    "knot": "A torus knot",
 }  # fmt: skip
 """Captions of the pictures that ``draw_heroes.py`` draws."""
 
@@ -107,12 +108,12 @@ def index_page() -> str:
         "",
         "Click a picture for the YAML and the Python that make it.",
     ]
-    first = [f"![{title}](../pictures/hero-{name}.png)<br>{title}" for name, title in THINGS.items()]
+    first = [f"![{title}](../pictures/hero-{name}.jpg)<br>{title}" for name, title in THINGS.items()]
     lines += [
         "",
         "## Things",
         "",
-        "Bodies from primitives, filled by [a script](../draw_heroes.py). The disc is 23 mm wide.",
+        "Bodies from primitives, and an insole, filled by [a script](../draw_heroes.py). The disc is 23 mm wide.",
     ]
     lines += ["", "| | |", "|---|---|", *(f"| {a} | {b} |" for a, b in zip(first[::2], first[1::2], strict=True))]
     for heading, group in GALLERY.items():
