@@ -95,9 +95,10 @@ LONG = (
 all others have ended. With ``--dist loadfile`` alone, those with many tests would come first, which are rarely long."""
 
 
-def pytest_xdist_auto_num_workers(config):
+@pytest.hookimpl(wrapper=True, optionalhook=True)
+def pytest_xdist_auto_num_workers():
     """Processes of ``-n auto``: one more than processors, as tests of what hangs and of other programs wait."""
-    return (os.cpu_count() or 1) + 1
+    return (yield) + 1
 
 
 def pytest_configure(config):
