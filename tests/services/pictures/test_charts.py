@@ -7,6 +7,7 @@ import itertools
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,6 +156,7 @@ def test_a_style_of_the_user_changes_nothing_and_is_left_alone(tmp_path):
         "sys.stdout.buffer.write(chart(series, 'a.svg', title='T'))"
     )
     environment = {"MATPLOTLIBRC": str(settings), "MPLBACKEND": "pdf", "HOME": str(tmp_path), "PATH": ""}
+    environment["XDG_CACHE_HOME"] = str(Path(matplotlib.get_cachedir()).parent)  # its list of fonts takes seconds
     found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, timeout=600)
     assert found.stdout == plain
 
