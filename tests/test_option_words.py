@@ -34,6 +34,8 @@ SENTENCES = {
     "values": "what stands in an image, or in a table",
     "density": "a share of solid, or the bounds of what a structure may have",
     "material": "the look of a solid in a picture, or its name in a file for another program",
+    "diameter": "of holes that are drilled, or of beams",
+    "copies": "how many there are, or how a file holds them",
     "mass": "of a specimen that was tested, or the target of a part",
     "yield_stress": "a number where one linear solution is scaled, a table where the solid is followed beyond it",
 }
