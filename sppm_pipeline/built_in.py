@@ -45,7 +45,7 @@ PLUGINS = {
     ),
     "sppm-even-tiles": ("tile.even_interiors",),
     "sppm-lattice-points": ("sample.lattice_points",),
-    "sppm-lib3mf": ("write.3mf_slices",),
+    "sppm-lib3mf": ("write.3mf_beams", "write.3mf_slices"),
     "sppm-pymeshlab": ("mesh.decimate", "mesh.remesh", "mesh.repair", "mesh.smooth"),
     "sppm-structures": (
         "field.elastic_texture", "field.organic", "field.spinodoid", "field.stochastic_gyroid", "field.struts",
