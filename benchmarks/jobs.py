@@ -2,7 +2,7 @@
 
 Usage: ``python -m benchmarks.jobs [--write] [--again] [--folder FOLDER] [NAMES]``. Each job is run with its report;
 kernels are compiled if they are not yet, as in a new installation. With `--again` it is run a second time, without the
-cache of results. `--write` stores the numbers in docs/results/jobs.json and the pictures in docs/pictures,
+cache of results. `--write` stores the numbers in benchmarks/jobs.json and the pictures in docs/pictures,
 and writes the tables of docs/howto/from-cad-to-print.md from the numbers of all jobs stored there.
 
 Judges are programs of others, where they are installed: PrusaSlicer (``prusa-slicer --info`` of meshes; the project is
@@ -29,7 +29,7 @@ from benchmarks.measure import run
 
 ROOT = Path(__file__).resolve().parents[1]
 JOBS = ROOT / "examples" / "jobs"
-STORED, PAGE = ROOT / "docs" / "results" / "jobs.json", ROOT / "docs" / "howto" / "from-cad-to-print.md"
+STORED, PAGE = ROOT / "benchmarks" / "jobs.json", ROOT / "docs" / "howto" / "from-cad-to-print.md"
 MARK = "<!-- benchmarks.jobs -->\n"
 NAMES = ("bracket", "rocker", "insole", "lattice", "cube")
 WHAT = {

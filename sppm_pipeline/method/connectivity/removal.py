@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 from sppm_pipeline.errors import DesignError
 
@@ -44,16 +44,8 @@ def removal_warning(share: float, porosity: tuple[float, float] | None = None) -
     return f"{_removal(share, porosity)}; it was removed"
 
 
-class Reporter(Protocol):
-    """The part of a context that takes numbers and warnings."""
-
-    def report(self, **values: Any) -> None: ...
-
-    def warn(self, message: str) -> None: ...
-
-
-def report_removal(context: Reporter, share: float, islands: str, finer: str = "finer voxels") -> None:
-    """Report the share of solid that a stage removes as islands, refuse as `check_removal` does, or warn."""
+def report_removal(context: Any, share: float, islands: str, finer: str = "finer voxels") -> None:
+    """Report to a `Context` the share of solid that is removed as islands, refuse as `check_removal` does, or warn."""
     context.report(removed_share=share)
     check_removal(share, islands, finer=finer)
     if warning := removal_warning(share):

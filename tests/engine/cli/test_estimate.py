@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from sppm_pipeline.built_in import PLUGIN_OF
 from sppm_pipeline.engine.cli.arguments import size
 from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.plan import estimate
@@ -122,7 +123,8 @@ def test_estimates_come_true(here, capsys, name):
     """In a process of its own, as the peak of memory belongs to a process."""
     found = estimated(capsys, name)
     assert found["unknown"] == []
-    command = [sys.executable, "-m", "sppm_pipeline.engine.cli.main", "run", name, "--no-plugins", "-q", "-o", "out"]
+    command = [sys.executable, "-m", "sppm_pipeline.engine.cli.main", "run", name, "-q", "-o", "out"]
+    command += ["--allow-plugins", ",".join(DOCUMENTED)]
     for _ in range(2):  # compiling kernels, if it is the first time, takes memory that is not the run's
         subprocess.run([*command, "--threads", "1"], check=True, cwd=here, stdout=subprocess.DEVNULL)
     record = json.loads((here / "out" / "run.json").read_text())
@@ -352,7 +354,7 @@ def test_the_table_of_rates_fits_the_program():
     """Each entry belongs to a stage, each rate to a unit, and none is negative."""
     columns, units = {"seconds", "memory", "kept", "disk"}, {field.name for field in fields(Size)}
     formats = ("stl", "ply", "obj", "off", "3mf", "glb", "vtu", "inp", "msh", "npy", "tiff", "vti")
-    names = {*STAGES, *(f"write.{extension}" for extension in formats)}
+    names = {*STAGES, *PLUGIN_OF, *(f"write.{extension}" for extension in formats)}
     for name, entry in estimate.table().items():
         assert name == "sppm" or name in names or name.rpartition(".")[0] in names, name
         assert set(entry) == columns
