@@ -184,19 +184,18 @@ def server_of(shown: Design | Studio, port: int = 0) -> LocalServer:
             if place is None:
                 return
             _, page, rules = studio.shown
+            asked = {key: values[0] for key, values in parse_qs(place.query, keep_blank_values=True).items()}
             if not place.path:
                 self.answer(200, "text/html", page.encode(), (("Content-Security-Policy", rules),))
             elif place.path == "find":
-                asked = {key: values[0] for key, values in parse_qs(place.query, keep_blank_values=True).items()}
                 try:
                     self._json(200, {"designs": [one._asdict() for one in studio.found(asked)]})
                 except SppmError as error:
                     self._refused(error, {})
             elif place.path in ("cell", "numbers", "run", "file"):
-                query = parse_qs(place.query, keep_blank_values=True)
-                changes = self._changes(_decoded(query.get("changes", ["{}"])[0]))
+                changes = self._changes(_decoded(asked.get("changes", "{}")))
                 if changes is not None:
-                    self._made(place.path, changes, {key: values[0] for key, values in query.items()})
+                    self._made(place.path, changes, asked)
             else:
                 self.answer(404, "text/plain", b"404\n")
 
