@@ -26,6 +26,13 @@ from sppm_pipeline.method.sampling.darts import throw as _throw_darts
 from sppm_pipeline.method.tiling.corners import tile_corners as tile_corners
 from sppm_pipeline.method.tiling.hashed import tile_hashed as tile_hashed
 from sppm_pipeline.method.tiling.lattice import hash_places as hash_places
+from sppm_pipeline.services.arrays import F32 as F32
+from sppm_pipeline.services.arrays import F64 as F64
+from sppm_pipeline.services.arrays import I32 as I32
+from sppm_pipeline.services.arrays import I64 as I64
+from sppm_pipeline.services.arrays import U8 as U8
+from sppm_pipeline.services.arrays import U64 as U64
+from sppm_pipeline.services.arrays import Bools as Bools
 from sppm_pipeline.services.elastic.bounds import Bounds as Bounds
 from sppm_pipeline.services.elastic.bounds import Interval as Interval
 from sppm_pipeline.services.elastic.convergence import Limit as Limit

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline import ConfigError, Viewable, frozen
 from sppm_pipeline.nouns import Surface, optional_module
-from sppm_tetrahedra.arrays import F64, I32, I64, U8, Bools
+from sppm_pipeline.numerics import F64, I32, I64, U8, Bools
 from sppm_tetrahedra.numerics.faces import boundary_triangles, face_neighbors
 
 TOLERANCE = 1e-6

@@ -153,6 +153,28 @@ def test_throats_that_the_coarser_grid_closes_are_named():
     assert not any("error bar" in text for text in context.warnings)
 
 
+def test_solid_that_the_coarser_grid_misses_is_named():
+    """The ball holds one face of the grid across each axis, and none of the coarser one."""
+
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class Ball(FormulaField):
+        def evaluate(self, x, y, z):
+            center = 12 / 24 + 1 / 72
+            return np.sqrt((x - center) ** 2 + (y - center) ** 2 + (z - center) ** 2) - 0.022
+
+    context = PlainContext()
+    report = solved(Ball(), context, resolution=24)
+    assert report.k == pytest.approx(solved(Ball(), resolution=24, grids=1).k)
+    assert report.error is None
+    assert "convergence" not in context.reported
+    (said,) = report.warnings
+    assert said in context.warnings
+    assert "no error bar, as 16 voxels along an edge miss all walls" in said
+    assert "resolution: 48" in said
+    with pytest.raises(DesignError, match="permeability is infinite"):  # who asks for two grids gets two
+        solved(Ball(), resolution=24, grids=2)
+
+
 def test_an_image_has_an_error_bar_that_covers_finer_voxels(flow, gyroid):
     def image(n):
         x = (np.arange(n) + 0.5) / n

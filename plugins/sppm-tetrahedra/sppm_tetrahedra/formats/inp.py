@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_tetrahedra.arrays import F64
+from sppm_pipeline.numerics import F64
 from sppm_tetrahedra.formats.volume_arrays import as_written, integer_rows, number_rows
 
 _TYPES = {4: "C3D4", 10: "C3D10"}

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_tetrahedra.arrays import F64, I32, U8
+from sppm_pipeline.numerics import F64, I32, U8
 
 _CHUNK = 20000
 """Rows that are turned into text together."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics import jit
-from sppm_tetrahedra.arrays import I32, I64, U64
+from sppm_pipeline.numerics import I32, I64, U64, jit
 
 BOUNDARY, NON_MANIFOLD = -1, -2
 

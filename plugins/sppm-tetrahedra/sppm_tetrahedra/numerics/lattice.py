@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics import jit
-from sppm_tetrahedra.arrays import F32, I32, I64
+from sppm_pipeline.numerics import F32, I32, I64, jit
 
 
 def cut_tetrahedra(

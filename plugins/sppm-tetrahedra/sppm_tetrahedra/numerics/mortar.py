@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.numerics import jit
-from sppm_tetrahedra.arrays import F64, I32, I64
+from sppm_pipeline.numerics import F64, I32, I64, jit
 
 # Dunavant's quadrature of degree 4 on the triangle (Int. J. Numer. Meth. Eng. 21, 1985):
 # the product of two quadratic functions is integrated exactly

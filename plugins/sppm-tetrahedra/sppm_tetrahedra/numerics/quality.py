@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics import jit
-from sppm_tetrahedra.arrays import F64, I32, I64
+from sppm_pipeline.numerics import F64, I32, I64, jit
 
 EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], np.int64)
 """Corners at the ends of the edges, in the order of their nodes."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sppm_tetrahedra.arrays import F64, I32, I64
+from sppm_pipeline.numerics import F64, I32, I64
 from sppm_tetrahedra.numerics.mortar import collocation, face_pairs, mortar
 from sppm_tetrahedra.numerics.quality import EDGES
 from sppm_tetrahedra.numerics.tetrahedral_blocks import CASES, Blocks, Vectors, assemble

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.numerics import inline_jit, jit
-from sppm_tetrahedra.arrays import F64, I32, I64
+from sppm_pipeline.numerics import F64, I32, I64, inline_jit, jit
 from sppm_tetrahedra.numerics.quality import SLOPES, quadratic_gradients
 
 # The quadrature of degree 2 with four points (Hammer, Marlowe and Stroud 1956) suffices for

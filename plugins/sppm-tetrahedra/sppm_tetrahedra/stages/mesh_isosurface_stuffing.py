@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Context, DesignError, Palette, Part, ScalarField, Size, Stage, option, options
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.numerics import Grid, jit
-from sppm_tetrahedra.arrays import F32, F64, I32, I64, Bools
+from sppm_pipeline.numerics import F32, F64, I32, I64, Bools, Grid, jit
 from sppm_tetrahedra.numerics.faces import components, face_neighbors
 from sppm_tetrahedra.numerics.lattice import (
     Crossings,

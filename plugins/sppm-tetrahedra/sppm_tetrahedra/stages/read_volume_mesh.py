@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Context, InputError, Length, Stage, options
 from sppm_pipeline.formats import check_elements, read_elements
-from sppm_tetrahedra.arrays import F64, I32, U8
+from sppm_pipeline.numerics import F64, I32, U8
 from sppm_tetrahedra.volume_mesh import VolumeMesh, face_match
 
 FLAT = 1e-12

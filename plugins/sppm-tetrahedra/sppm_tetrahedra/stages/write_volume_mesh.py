@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import ConfigError, Context, DesignError, Stage, option, options
 from sppm_pipeline.formats import extension_of, require_format, write_pieces
-from sppm_tetrahedra.arrays import I64
+from sppm_pipeline.numerics import I64
 from sppm_tetrahedra.numerics.faces import BOUNDARY, FACES, face_neighbors
 from sppm_tetrahedra.numerics.quality import EDGES
 from sppm_tetrahedra.volume_mesh import VolumeMesh, matched_nodes, on_faces

@@ -4,23 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from textwrap import indent
 from typing import Any
 
 from sppm_pipeline.engine.plan.session import RunRequest
 from sppm_pipeline.features.browser.studio.controls import places
-from sppm_pipeline.features.browser.studio.design import START as BEGIN
 from sppm_pipeline.features.browser.studio.design import Design
 from sppm_pipeline.features.browser.studio.page import studio_page
 
-_HEAD, _STEPS = BEGIN.split("pipeline:\n")
-_CELL, _REST = _STEPS.split("  - {stage: check", 1)
-START = (
-    f"{_HEAD}  porosity: 0.67\nrecipes:\n  cell:\n"
-    + indent(_CELL.replace("total", "edge: 5 mm, total", 1), "  ")
-    + 'pipeline:\n  - {stage: tune.porosity, recipe: cell, target: "${porosity}"}\n'
-    + f"  - {{stage: check{_REST}"
-)
+START = """\
+# A periodic cell. `sppm run` draws it, and writes its surface and what it can bear.
+sppm: 1
+name: cell
+seed: 1
+params:
+  pores: 95
+  porosity: 0.67
+recipes:
+  cell:
+    - {stage: sample.mirrored_faces, edge: 5 mm, total: "${pores}", share: 0.5}
+    - {stage: sample.dart_throwing, total: "${pores}"}
+    - {stage: connect.mbdst, degree: [3, 5], mode: greedy}
+    - {stage: field.gaussian, pore_radius: 0.1075, tunnel_radius: 0.023, level: 0.25}
+pipeline:
+  - {stage: tune.porosity, recipe: cell, target: "${porosity}"}
+  - {stage: check.connectivity, islands: keep}
+  - {stage: extract.marching_cubes}
+  - {stage: write.mesh, path: cell.stl}
+  - {stage: homogenize.voxel}
+"""
 """The configuration that the page begins with; it changes its numbers, and reads others of this form alone."""
 
 ROLES = {

@@ -155,7 +155,8 @@ class HomogenizePermeability(FlowHomogenizer, SidedHomogenizer):
     On the grid of a field throats come out too wide, by an error of about second order. So a second grid, coarser by a
     third, is solved as well; the limit of fine grids is the result, and the correction its error bar; all else is that
     of the finer grid. Images, and fields as whole voxels, have one grid; with more than one their result is that of the
-    finest, and the difference from the limit its error bar.
+    finest, and the difference from the limit its error bar. Where the coarser grid of a field misses
+    all walls across an axis, the finer one is the result, with a warning and without an error bar.
     """
 
     name: ClassVar[str] = "homogenize.permeability"
@@ -189,7 +190,11 @@ class HomogenizePermeability(FlowHomogenizer, SidedHomogenizer):
         except DesignError:  # a coarser grid sees no walls at all
             if self.grids is not None:
                 raise
-            return self.flow_of(context, source)
+            fine = self.flow_of(context, source)
+            return self._doubted(
+                context, fine, f"there is no error bar, as {counts[0]} voxels along an edge miss all walls across an "
+                f"axis: the solid is too thin for these grids; compare with `resolution: {2 * self.resolution}`",
+            )  # fmt: skip
         fine = reports[-1]
         context.report(
             convergence={
@@ -210,9 +215,12 @@ class HomogenizePermeability(FlowHomogenizer, SidedHomogenizer):
         if share <= MAX_ERROR:
             return made
         finer = math.ceil(self.resolution * (share / (0.3 * MAX_ERROR)) ** (1 / ORDER))
-        coarse = (
-            f"the error bar is {share:.0%} of the permeability, as throats or walls are few voxels thick: raise "
-            f"`resolution` to about {finer} for {0.3 * MAX_ERROR:.0%}"
-        )
-        context.warn(coarse)
-        return replace(made, warnings=(*made.warnings, coarse))
+        return self._doubted(
+            context, made, f"the error bar is {share:.0%} of the permeability, as throats or walls are few voxels "
+            f"thick: raise `resolution` to about {finer} for {0.3 * MAX_ERROR:.0%}",
+        )  # fmt: skip
+
+    @staticmethod
+    def _doubted(context: Context, report: PermeabilityReport, why: str) -> PermeabilityReport:
+        context.warn(why)
+        return replace(report, warnings=(*report.warnings, why))
