@@ -16,6 +16,7 @@ _LINK = re.compile(r"(?P<picture>!?)\[(?P<text>(?:[^\[\]]|\[[^\]]*\])*)\]\((?P<t
 _MARKED = re.compile(
     r"(?P<begin>(?:<!-- |# )\[(?P<name>\w+)\](?: -->)?\n)(?P<text>.*?)(?P<end>(?:<!-- |# )\[/(?P=name)\])", re.DOTALL
 )
+_DATE = r"\d{4}-\d\d-\d\d"
 _RECIPE = (".ci/conda/recipe.yaml", 'version: "{}"\n')
 MARKED = (
     "SECURITY.md",
@@ -59,8 +60,8 @@ def urls(known: Mapping[str, Any], version: str) -> dict[str, str]:
     return named | ({"Documentation": known["documentation"]} if known["documentation"] else {})
 
 
-def _blocks(known: Mapping[str, Any], version: str) -> dict[str, str]:
-    """Text of each marked block."""
+def _blocks(known: Mapping[str, Any], date: str) -> dict[str, str]:
+    """Text of each marked block; `date` is that of the version in the changelog."""
     contact, repository = known["contact"], known["repository"]
     doi = known["paper_doi"] or (known["paper_arxiv"] and f"10.48550/arXiv.{known['paper_arxiv']}")
     missing = (
@@ -71,6 +72,7 @@ def _blocks(known: Mapping[str, Any], version: str) -> dict[str, str]:
         "links": f'repository-code: "{repository}"\nurl: "{known["documentation"] or repository}"\n'
         if repository
         else "",
+        "date": f"date-released: {date}\n" if re.fullmatch(_DATE, date) else "",
         "paper": f"  doi: {doi}\n" if doi else "",
         "doi": f'PAPER_DOI = "{doi}"\n',
         "about": f"  repository: {repository}\n" if repository else "",
@@ -95,7 +97,7 @@ def _authors(authors: Sequence[Mapping[str, str]]) -> str:
 
 def written(root: Path = ROOT, known: Mapping[str, Any] | None = None) -> Iterator[tuple[Path, str]]:
     """Each file with marked blocks, and its text as the variables fill it."""
-    blocks = _blocks(settings(root) if known is None else known, version_of(root))
+    blocks = _blocks(settings(root) if known is None else known, _date_of(root))
     for name in MARKED:
         text = (root / name).read_text(encoding="utf-8")
         yield root / name, _MARKED.sub(lambda found: found["begin"] + blocks[found["name"]] + found["end"], text)
@@ -104,6 +106,13 @@ def written(root: Path = ROOT, known: Mapping[str, Any] | None = None) -> Iterat
 def version_of(root: Path = ROOT) -> str:
     """The version in pyproject.toml."""
     return str(tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"])
+
+
+def _date_of(root: Path) -> str:
+    """The date of the version in the changelog, or what stands in its place."""
+    text = (root / "CHANGELOG.md").read_text(encoding="utf-8")
+    heading = re.search(rf"^## \[{re.escape(version_of(root))}\] - (.*)$", text, re.M)
+    return heading[1] if heading else ""
 
 
 def problems(root: Path = ROOT, tag: str | None = None) -> list[str]:
@@ -124,10 +133,7 @@ def problems(root: Path = ROOT, tag: str | None = None) -> list[str]:
     ):
         if pattern.format(version) not in (root / name).read_text(encoding="utf-8"):
             found.append(f"{name} names another version than {version}")
-    heading = re.search(
-        rf"^## \[{re.escape(version)}\] - (.*)$", (root / "CHANGELOG.md").read_text(encoding="utf-8"), re.M
-    )
-    if heading is None or not re.fullmatch(r"\d{4}-\d\d-\d\d", heading[1]):
+    if not re.fullmatch(_DATE, _date_of(root)):
         found.append(f"CHANGELOG.md has no dated section [{version}]")
     if tag is not None and tag != f"v{version}":
         found.append(f"the tag {tag} is not v{version}")

@@ -233,6 +233,7 @@ def test_a_release_without_addresses_is_refused(tmp_path):
     for path, new in release.written(tmp_path):
         path.write_text(new, encoding="utf-8")
     assert release.problems(tmp_path, tag=f"v{version}") == []
+    assert "\ndate-released: 2026-12-01\n" in (tmp_path / "CITATION.cff").read_text(encoding="utf-8")
     assert release.problems(tmp_path, tag="v9.0.0") == [f"the tag v9.0.0 is not v{version}"]
     settings.write_text(text.replace("security@", "security at "), encoding="utf-8")
     assert any("contact is neither" in line for line in release.problems(tmp_path))
