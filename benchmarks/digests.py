@@ -84,6 +84,8 @@ _PART = f"""{_ISLANDS}; slice.field.pixel=0.5 mm; part_picture.resolution=8; par
     extract.marching_cubes.resolution=12"""
 _PICTURE = "write.picture.resolution=8; write.picture.image_size=[200, 150]"
 _VIEW = "write.picture.resolution=10"
+_DRAWN = "picture.resolution=8; picture.image_size=[200, 150]; filled.islands=remove"
+_GOO = f"layers.layer=0.1 mm; print.fail=[]; {_DRAWN}"
 _WALLS = "".join(f"  - {{voxels: {2 * n}, lattice: {n}, order: 1, porosity: 0.5}}\n" for n in (10, 15))
 
 CONFIGS: Mapping[str, Small] = {
@@ -120,6 +122,27 @@ CONFIGS: Mapping[str, Small] = {
         "tune.porosity.resolution=24; write.frames.image_size=[160, 120]",
         "{structure: [tpms_p, sppm_1]}",
         plugins=True,
+    ),
+    "designs/damper": _small(
+        "", f"porous.resolution=20; tuned.resolution=20; part.size=[10 mm, 10 mm, 0.5 mm]; {_GOO}"
+    ),
+    "designs/filter": _small(
+        "", f"porous.resolution=24; flow.resolution=16; sizes.resolution=24; part.size=[9 mm, 9 mm, 0.5 mm]; {_GOO}"
+    ),
+    "designs/implant_core": _small(
+        "",
+        f"""design.resolution=32; design.draws=1; block.resolution=16; elastic.resolution=20; flow.resolution=16;
+        sizes.resolution=24; part.size=[4 mm, 4 mm, 4 mm]; laid.resolution=16; surface.resolution=10; {_DRAWN}""",
+    ),
+    "designs/insole": _small(
+        "",
+        f"""part.size=[18 mm, 15 mm, 1 mm]; curve.trials=1; curve.resolution=16; laid.resolution=16; laid.rounds=0;
+        local.resolution=12; {_GOO}""",
+    ),
+    "designs/light_panel": _small(
+        "",
+        f"""block.resolution=24; elastic.resolution=20; sizes.resolution=20; part.size=[12 mm, 9 mm, 2 mm];
+        laid.resolution=16; fixed.voxel=0.5 mm; {_GOO}""",
     ),
     "graded_bar": _small(
         options=f"""tile.graded.trials=1; tile.graded.rounds=1; tile.graded.resolution=32;
@@ -495,7 +518,7 @@ def _bytes(path: Path) -> Iterator[bytes]:
 
 DECODERS: Mapping[str, Callable[[Path], Iterator[bytes]]] = {
     ".json": _json, ".csv": _csv, ".md": _text, ".graphml": _text, ".inp": _text, ".png": _png, ".stl": _mesh,
-    ".ply": _mesh, ".vti": _vtk, ".vtu": _vtk, ".goo": _bytes, ".sl1": _bytes,
+    ".ply": _mesh, ".3mf": _mesh, ".vti": _vtk, ".vtu": _vtk, ".goo": _bytes, ".sl1": _bytes,
 }  # fmt: skip
 """Readers of the content of a file, by its extension."""
 
