@@ -81,14 +81,12 @@ def search(
     """
     trials: dict[Point, Point | None] = {}
 
-    def try_out(at: Point) -> bool:
-        """Evaluate a new point; False if it is known already, or no evaluation is left."""
-        if at in trials or len(trials) >= evaluations:
-            return False
-        numbers = evaluate(at)
-        fine = numbers is not None and all(map(math.isfinite, numbers))
-        trials[at] = tuple(float(n) for n in numbers) if fine and numbers is not None else None
-        return True
+    def try_out(at: Point) -> None:
+        """Evaluate a new point, if an evaluation is left."""
+        if at not in trials and len(trials) < evaluations:
+            numbers = evaluate(at)
+            fine = numbers is not None and all(map(math.isfinite, numbers))
+            trials[at] = tuple(float(n) for n in numbers) if fine and numbers is not None else None
 
     axes = [
         sorted({_whole(value) if w else float(value) for value in np.linspace(a, b, first)})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.services.elastic.bounds import bounds, hashin_shtrikman, reuss, voigt
+from sppm_pipeline.services.elastic.bounds import Interval, bounds, hashin_shtrikman, reuss, voigt
 from sppm_pipeline.services.elastic.voigt import isotropic
 
 TWO = [(0.4, 10.0, 0.2), (0.6, 1.0, 0.35)]
@@ -73,3 +73,12 @@ def test_a_laminate_is_within_voigt_and_reuss_but_its_shear_may_leave_hashin_sht
     laminate = np.diag([2 / (1 / stiff[0, 0] + 1 / soft[0, 0]), 0.505, 0.505, 0.2525, 1 / (1 + 100), 1 / (1 + 100)])
     found = bounds(laminate, [(0.5, 1.0, 0.0), (0.5, 0.01, 0.0)])
     assert found.within
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e11])
+def test_rounding_is_relative_to_the_bounds(unit):
+    interval = Interval(unit, 2 * unit)
+    assert interval.holds(2 * unit * (1 + 5e-10))
+    assert interval.holds(unit * (1 - 5e-10))
+    assert not interval.holds(2 * unit * (1 + 2e-9))
+    assert not interval.holds(unit * (1 - 3e-9))

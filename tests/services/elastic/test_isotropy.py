@@ -121,3 +121,14 @@ def test_rigid_under_pressure_only():
     assert mean.bulk_reuss == pytest.approx(2.0)
     assert mean.shear_reuss == 0
     assert np.linalg.matrix_rank(mandel(fluid)) == 1
+
+
+@pytest.mark.parametrize("norm", ["paper", "tensor"])
+def test_what_no_material_is_near_deviates_by_all_it_has(norm):
+    """The square of its norm, as for the fit of a material."""
+    stiffness = isotropic(3.0, 0.3)
+    found = nearest_isotropic(-stiffness, norm)
+    length = np.linalg.norm(stiffness if norm == "paper" else mandel(stiffness))
+    assert (found.young, found.relative) == (0.0, 1.0)
+    assert found.deviation == pytest.approx(length**2)
+    assert nearest_isotropic(0 * stiffness, norm).deviation == 0

@@ -11,6 +11,7 @@ from sppm_pipeline.services.elastic.voigt import (
     from_tensor,
     isotropic,
     mandel,
+    null_space,
     rotated,
     tensor,
 )
@@ -105,3 +106,10 @@ def test_a_mechanism_by_rounding_counts_as_one():
     plate[2], plate[:, 2] = 0, 0
     plate[2, 2] = 1e-9
     assert engineering_constants(plate)["E"][2] == 0
+
+
+def test_what_is_soft_is_so_beside_the_stiffest():
+    stiffness = np.diag([100.0, 5, 20, 8, 8, 8])
+    values, _ = null_space(stiffness, soft=0.1)
+    assert values == pytest.approx([0, 16, 16, 16, 20, 100])  # shear counts twice in Mandel's basis
+    assert null_space(stiffness, soft=0.01)[0] == pytest.approx([5, 16, 16, 16, 20, 100])
