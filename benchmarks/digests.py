@@ -86,7 +86,9 @@ _PICTURE = "write.picture.resolution=8; write.picture.image_size=[200, 150]"
 _VIEW = "write.picture.resolution=10"
 _DRAWN = "picture.resolution=8; picture.image_size=[200, 150]; filled.islands=remove"
 _GOO = f"layers.layer=0.1 mm; print.fail=[]; {_DRAWN}"
-_WALLS = "".join(f"  - {{voxels: {2 * n}, lattice: {n}, order: 1, porosity: 0.5}}\n" for n in (10, 15))
+_WALLS = "".join(
+    f"  - {{voxels: {2 * n}, lattice: {n}, order: {order}, porosity: 0.5}}\n" for n, order in ((10, 1), (15, 1), (8, 2))
+)
 
 CONFIGS: Mapping[str, Small] = {
     "bunny": _small("mesh={folder}/body.ply; height=12 mm; voxels=10", "tile.scattered.resolution=16"),
