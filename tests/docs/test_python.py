@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import re
+import types
 import warnings
 from pathlib import Path
 
@@ -97,12 +98,12 @@ FACES = ("sppm_pipeline", *(f"sppm_pipeline.{name}" for name in ("nouns", "numer
 
 
 def public():
-    """Whatever can be called, by the name that a user writes."""
+    """Whatever can be called, by the name that a user writes; types of arrays are for signatures."""
     for face in FACES:
         module = importlib.import_module(face)
         for name in module.__all__:
             thing = getattr(module, name)
-            if callable(thing):
+            if callable(thing) and not isinstance(thing, types.GenericAlias):
                 yield f"{face.replace('sppm_pipeline', 'sppm')}.{name}", thing
 
 
