@@ -125,7 +125,7 @@ def grids_below(resolution: int, grids: int) -> list[int]:
 
 
 class Quiet:
-    """A context whose warnings go nowhere."""
+    """A context for a step among many: its warnings and its own progress go nowhere."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -135,6 +135,9 @@ class Quiet:
 
     def warn(self, message: str) -> None:
         """Drop a message."""
+
+    def progress(self, done: float, total: float, what: str = "") -> None:
+        """Drop a report, which would be that of one step."""
 
 
 def refined(

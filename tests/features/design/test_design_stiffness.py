@@ -1,5 +1,7 @@
 """``design.stiffness``: tensors of a known family, a member of the real one, what is refused, and how it is laid."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import sppm_pipeline as sppm
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.design.numerics.tensor_fit import Fit, interval, orthotropic, stretch_of, turned
 from sppm_pipeline.features.design.stages.design_stiffness import DesignStiffness, stiffness_over_struts
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.services.elastic.voigt import engineering_constants, isotropic, mandel, rotated
 from sppm_pipeline.services.local_thickness import limit_sizes, local_thickness
 
@@ -146,6 +149,31 @@ def test_what_lies_beyond_is_refused_with_the_nearest():
     assert "'struts' ends there" in caught.value.hint
 
 
+def test_the_target_may_be_what_was_measured_before():
+    """Its stiffness, its porosity and its solid, unless a porosity is given."""
+    cell = sppm.cell("dialed", porosity=0.6, seed=5, struts=0.2)
+    measured = sppm.homogenize.voxel(cell, resolution=24, young=1400.0, poisson=0.35)
+    design = sppm.design.stiffness(measured=measured, **{**QUICK, "vary": (), "low": (), "high": ()}, max_distance=1.0)
+    assert design.target == pytest.approx(measured.stiffness)
+    assert design.porosity == measured.porosity == pytest.approx(0.6, abs=0.01)
+    stated = DesignStiffness(porosity=0.7)._like(measured)[0]
+    assert (stated.porosity, stated.young, stated.poisson) == (0.7, 1400.0, 0.35)
+
+
+@pytest.mark.parametrize(
+    ("phases", "stiffness", "message"),
+    [
+        (None, None, "neither `target` nor `E` is given"),
+        (((0.3, 1.0, 0.3), (0.3, 2.0, 0.3), (0.4, 0.0, 0.0)), np.eye(6), "2 solid phases"),
+        (((0.4, 1.0, 0.3), (0.6, 0.0, 0.0)), np.diag([1.0, 1, 0, 1, 1, 1]), "no stiffness in some direction"),
+    ],
+)
+def test_what_was_measured_before_must_be_a_target(phases, stiffness, message):
+    measured = None if phases is None else StiffnessReport(stiffness, phases, "by hand")
+    with pytest.raises((ConfigError, DesignError), match=message):
+        DesignStiffness()._like(measured)
+
+
 def test_moduli_become_a_tensor():
     stage = DesignStiffness(E=(0.03, 0.04, 0.06), nu=(0.2, 0.15, 0.25), G=(0.02, 0.015, 0.012), porosity=0.7, young=2.0)
     constants = engineering_constants(2.0 * stage.wanted())
@@ -158,7 +186,8 @@ def test_moduli_become_a_tensor():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "neither is given"),
+        ({"target": Path("c.csv"), "E": 0.1}, "both are given"),
+        ({"nu": 0.2}, "belong to `E`"),
         ({"E": 0.1}, "`E` needs `nu`"),
         ({"E": (0.1, 0.2, 0.3), "nu": 0.2}, "`G` is missing"),
         ({"E": (0.01, 0.2, 0.3), "nu": 0.9, "G": 0.1}, "energy would be negative"),

@@ -16,6 +16,7 @@ from sppm_pipeline.features.design.atlas import FAMILIES, POROSITY, PROPERTIES, 
 from sppm_pipeline.features.design.numerics.tensor_fit import Design, Fit, interval, orthotropic, stretch_of
 from sppm_pipeline.method.families.homogenizer import Quiet, per_phase
 from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, periodic_cell, varied_option
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
 from sppm_pipeline.method.porosity.level import cut_for_porosity, level_for_porosity
 from sppm_pipeline.nouns.length import Length
@@ -50,8 +51,10 @@ class DesignStiffness(Stage):
     stretched along its axes, which makes ratios of moduli, and turned. A structure that is turned has its stiffness
     turned exactly, so that only dials and stretches cost evaluations.
 
-    The target is a CSV file of six rows of six numbers in Voigt order xx, yy, zz, yz, xz, xy with engineering shear, or
-    Young's moduli `E`, Poisson's ratios `nu` and shear moduli `G` along the axes. The search starts where the atlas of
+    The target is a CSV file of six rows of six numbers in Voigt order xx, yy, zz, yz, xz, xy with engineering shear,
+    or Young's moduli `E`, Poisson's ratios `nu` and shear moduli `G` along the axes, or, where neither is given, the
+    stiffness that a stage before it has measured, for instance that of a scan; then the solid is that of the measured
+    structure, and so is the porosity unless one is given. The search starts where the atlas of
     measured designs says, if it has the recipe with `struts` as the dial, else by a scan of the first. Gauss-Newton
     steps bring the mean of a few draws, always the same ones, to it; then the mean of all `draws` on the grid of
     `resolution` is corrected by the same slopes and measured. Each stiffness is the limit of two grids, as of
@@ -112,16 +115,14 @@ class DesignStiffness(Stage):
 
     def check_options(self) -> None:
         """A target, a porosity, as many bounds as dials, and weights."""
-        if (self.target is None) == (self.E is None):
-            raise ConfigError(
-                f"the target is either a file, `target`, or moduli, `E`, `nu` and `G`; "
-                f"{'neither is' if self.E is None else 'both are'} given"
-            )
+        if self.target is not None and self.E is not None:
+            raise ConfigError("the target is either a file, `target`, or moduli, `E`, `nu` and `G`; both are given")
         if self.E is not None:
             self.wanted()
         elif self.nu is not None or self.G is not None:
-            raise ConfigError("`nu` and `G` belong to `E`, and the target is a file", hint="leave them out")
-        if (self.porosity is None) == (self.max_density is None):
+            raise ConfigError("`nu` and `G` belong to `E`, which is not given", hint="give `E`, or leave them out")
+        without = self.porosity is None and self.max_density is None
+        if (without and not self._measures) or (self.porosity is not None and self.max_density is not None):
             raise ConfigError("give either `porosity` or `max_density`", hint="for example `porosity: 0.72`")
         if self.max_density is not None and 1 - self.max_density >= LIGHTEST:
             raise ConfigError(f"`max_density` is {self.max_density:g}; it should be above {1 - LIGHTEST:.3g}")
@@ -134,6 +135,33 @@ class DesignStiffness(Stage):
             raise ConfigError(f"`low` is {self.low} and `high` {self.high}; they should rise")
         if len(self.row_weights) != 6 or not any(self.row_weights):
             raise ConfigError(f"`row_weights` has {len(self.row_weights)} numbers; it takes six, not all 0")
+
+    @property
+    def _measures(self) -> bool:
+        """Whether the target is what a stage before this one has measured."""
+        return self.target is None and self.E is None
+
+    def _like(self, measured: StiffnessReport | None) -> tuple[DesignStiffness, F64]:
+        """The stage with the porosity and the solid of a measured structure, and its stiffness over Young's modulus."""
+        if measured is None:
+            raise ConfigError(
+                "there is no target: neither `target` nor `E` is given, and no stage before has measured a stiffness",
+                hint="give `E`, `nu` and `G`, or a file, `target`, or homogenize a structure before",
+            )
+        solid = [(young, poisson) for _, young, poisson in measured.phases if young > 0]
+        if len(solid) != 1:
+            raise ConfigError(
+                f"the structure measured before has {len(solid)} solid phases, and a recipe makes one",
+                hint="give the target as a file, `target`, or by moduli, `E`, `nu` and `G`",
+            )
+        (young, poisson), found = solid[0], measured.stiffness
+        if np.linalg.eigvalsh(found)[0] <= 0:
+            raise DesignError(
+                "the structure measured before has no stiffness in some direction: no recipe can follow it",
+                hint="does it run through from side to side? A finer grid, or a larger piece, may have a stiffness",
+            )
+        porosity = measured.porosity if self.porosity is None and self.max_density is None else self.porosity
+        return replace(self, porosity=porosity, young=young, poisson=poisson), np.asarray(found / young)
 
     def _of_constants(self) -> F64:
         """The target from moduli, over Young's modulus of the solid."""
@@ -174,7 +202,7 @@ class DesignStiffness(Stage):
             raise InputError(f"{path} has an eigenvalue of 0 or less: no structure has this stiffness")
         return np.asarray(found / self.young)
 
-    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
+    def estimate(self, palette: Palette, recipe: RecipeSize, measured: Size | None = None) -> Size:
         calls = EVALUATIONS + 2 * len(self.vary)
         made = recipe(palette, self.search_draws * calls + 2 * self.draws)
         searched: Size = self._solver(None, self._coarse).solving(made, self.search_draws * calls)
@@ -195,9 +223,9 @@ class DesignStiffness(Stage):
             resolution=resolution, poisson=self.poisson, stretch=found, solver_tolerance=1e-3, iterations=3000
         )
 
-    def run(self, context: Context, recipe: Recipe) -> StiffnessDesign:
+    def run(self, context: Context, recipe: Recipe, measured: StiffnessReport | None = None) -> StiffnessDesign:
         """Start by the atlas or a scan of the first dial, search on a few draws, correct and measure on all."""
-        target = self.wanted()
+        self, target = self._like(measured) if self._measures else (self, self.wanted())
         varied = [varied_option(recipe, name) for name in self.vary]
         free = self.porosity is None
         low = (*self.low, *([1 - self.max_density] if self.max_density is not None else []))
