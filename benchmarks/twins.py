@@ -1,14 +1,16 @@
 """Twins of scans: what `tune.match` finds for each, number by number, as a CSV table.
 
-    python -m benchmarks.twins FILE.csv [SCAN[@THRESHOLD] ...] [--draws N] [--evaluations N] [--only WORD]
+    python -m benchmarks.twins FILE.csv [SCAN[@THRESHOLD] ...] [--draws N] [--evaluations N] [--seeds N]
+        [--only WORD]
     python -m benchmarks.twins --page docs/features/scans.md FILE.csv [FILE.csv ...]
 
 SCAN is a gray image, .npy or .npz with one array (x, y, z); Otsu's threshold is taken if none is given. Two images are
 made here: a foam of overlapping balls and a cell of this program, both blurred and with noise. Of larger scans the
-middle 72 voxels along each edge are taken; the cell of the twin has 48. The number of pores and the radii of pores and
-tunnels are varied, DRAWS structures for each trial; of the structure of ours, for which "own" stands, the number
-alone, and again with the radius of the tunnels. `wanted` is the goal of the row. Stiffness and permeability are not
-matched. Beside the CSV file, a PNG file has the middle of the structures made here on the left, of their twins on the
+middle 72 voxels along each edge are taken; the cell of the twin has 48. Each has a recipe of its kind, see `RECIPES`;
+of the structure of ours, for which "own" stands, the number of pores alone is varied, and again with the radius of the
+tunnels. Of each match the nearest of DRAWS structures is taken, and all is done SEEDS times with other random numbers:
+`difference` is the mean, `error` the standard deviation. `wanted` is the goal of the row. Stiffness and permeability
+are not matched. Beside the CSV file, a PNG file has the middle of each scan made here on the left, of its twin on the
 right. With `--page` the table of a page is made of such files.
 """
 
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +27,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sppm_pipeline.features.scans.image_field import ImageField
+from sppm_pipeline.features.scans.stages.measure_statistics import MeasureStatistics
 from sppm_pipeline.features.scans.stages.tune_match import TuneMatch
+from sppm_pipeline.features.walls.stages.field_walls import WallsField
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
+from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
 from sppm_pipeline.nouns.length import Length
@@ -39,21 +46,54 @@ OWN = {"sample.dart_throwing.total": 80.0, "field.gaussian.tunnel_radius": 0.03}
 N, LARGEST = 48, 72
 """Voxels along the cell of a twin, which is 1 mm long, and those of a scan."""
 
-VARIED = {
-    "sample.dart_throwing.total": (20.0, 600.0),
-    "field.gaussian.tunnel_radius": (0.008, 0.06),
-    "field.gaussian.pore_radius": (0.008, 0.08),
-}
 WANTED = {"porosity": 0.001, "S2": 0.02, "chords": 0.05, "thickness": 0.05, "permeability": 0.15, "stiffness": 0.1}
 
 
-def recipe(total: int = 100, tunnel: float = 0.03, pore: float = 0.03) -> Any:
-    """Pores, tunnels and their field."""
+def cell(total: int = 100, tunnel: float = 0.03) -> Any:
+    """Pores and tunnels of a cell of this program."""
     return recipe_of(
         DartThrowing(total=total, edge=Length(1.0, "mm")),
         BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
-        GaussianField(pore_radius=Length(pore), tunnel_radius=Length(tunnel)),
+        GaussianField(pore_radius=Length(0.03), tunnel_radius=Length(tunnel)),
     )
+
+
+def balls() -> Any:
+    """Scattered balls that overlap: a low level makes the sum of kernels as sharp as the largest of them, and tunnels
+    are thinner than voxels.
+    """
+    return recipe_of(
+        DartThrowing(total=60, edge=Length(1.0, "mm"), spacing=Length(0.01)),
+        MinimumSpanningTree(),
+        GaussianField(
+            pore_radius=Length(0.13), tunnel_radius=Length(0.001), level=0.001, tunnel="squared", pore_spread=0.1
+        ),
+    )
+
+
+def plates() -> Any:
+    """Rods and plates: walls between pores of many sizes, with holes where tunnels pierce them, or without middles."""
+    return recipe_of(
+        DartThrowing(total=200, share=0.4, edge=Length(1.0, "mm")),
+        RelativeNeighbors(degree=(3, 12)),
+        WallsField(thickness=Length(0.01), tunnel_radius=Length(0.05), rounding=Length(0.005), struts=0.5),
+    )
+
+
+RECIPES: dict[str, tuple[Callable[[], Any], dict[str, tuple[float, float]]]] = {
+    "own, number": (cell, {"sample.dart_throwing.total": (20.0, 600.0)}),
+    "own, number and radius": (
+        cell, {"sample.dart_throwing.total": (20.0, 600.0), "field.gaussian.tunnel_radius": (0.008, 0.06)},
+    ),
+    "foam of overlapping balls": (
+        balls, {"sample.dart_throwing.total": (20.0, 200.0), "field.gaussian.pore_spread": (0.0, 0.4)},
+    ),
+    "": (plates, {
+        "sample.dart_throwing.total": (15.0, 600.0), "sample.dart_throwing.share": (0.02, 0.8),
+        "field.walls.tunnel_radius": (0.02, 0.2), "field.walls.struts": (0.0, 1.0),
+    }),
+}  # fmt: skip
+"""Recipes and what is varied, by the scan; "" of all others."""
 
 
 def as_scanned(solid: NDArray[np.bool_], seed: int) -> NDArray[np.float32]:
@@ -78,7 +118,7 @@ def foam(n: int = N, seed: int = 3) -> NDArray[np.float32]:
 def own(n: int = N) -> NDArray[np.float32]:
     """A cell of this program of another seed, 60 % void."""
     total, tunnel = OWN.values()
-    values = recipe(int(total), tunnel).run(PlainContext(77)).sample(n)
+    values = cell(int(total), tunnel).run(PlainContext(77)).sample(n)
     return as_scanned(values < np.quantile(values, 0.4), 0)
 
 
@@ -104,40 +144,48 @@ def scans(paths: list[str]) -> list[tuple[str, int, ScalarField]]:
     ]  # fmt: skip
 
 
-def rows(
-    name: str, scan: ScalarField, n: int, draws: int, evaluations: int
-) -> tuple[ScalarField, list[dict[str, Any]]]:
-    """The twin, and a row for each number."""
-    context = PlainContext(1)
-    # the level that meets the porosity makes up for radii that are all larger: of a structure of ours one is known
-    ours = list(OWN)[: 1 + name.endswith("radius")] if name.startswith("own") else list(VARIED)
-    varied = {option: VARIED[option] for option in ours}
+def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seed: int) -> tuple[Any, Any, Any]:
+    """The twin, quantities by name, and how the scan was stretched."""
+    context = PlainContext(seed)
+    fabric: dict[str, Any] = {}
+    recipe, varied = RECIPES.get(name, RECIPES[""])
+    if name not in RECIPES:
+        report = MeasureStatistics(resolution=n, subcubes=1).run(context, scan)
+        fabric = {"stretch": tuple(report.stretch.tolist()), "turn": tuple(report.turn.tolist())}
+    # the level that meets the porosity makes up for radii that are all larger: of pores and tunnels one is known
     twin = TuneMatch(
         vary=tuple(varied), low=tuple(a for a, _ in varied.values()), high=tuple(b for _, b in varied.values()),
-        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n,
+        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, **fabric,
     ).run(context, recipe(), scan)  # fmt: skip
     found = context.reported
-    off = {
+    quantities = {
         "porosity": found["porosity"],
         "S2": found["S2"],
         **{f"{kind}, {phase}": found[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")},
         **{kind: found["held_out"][kind] for kind in ("permeability", "stiffness")},
     }
-    made = []
-    for quantity, value in off.items():
-        wanted = WANTED[quantity.split(",")[0]]
-        made.append({
-            "scan": name, "quantity": quantity, "difference": value, "wanted": wanted,
-            "met": value is not None and abs(value) <= wanted,
-        })  # fmt: skip
     for option, value in zip(varied, found["values"], strict=True):
         truth = OWN.get(option) if name.startswith("own") else None
-        off_truth = value if truth is None else value / truth - 1
+        quantities[option] = value if truth is None else value / truth - 1
+    return twin, quantities, fabric
+
+
+def rows(
+    name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seeds: int
+) -> tuple[ScalarField, list[dict[str, Any]]]:
+    """A twin, and a row for each number."""
+    found = [matched(name, scan, n, draws, evaluations, seed) for seed in range(1, seeds + 1)]
+    made = []
+    for quantity in found[0][1]:
+        values = np.array([one[1][quantity] for one in found], float)
+        value, error = float(values.mean()), float(values.std(ddof=1)) if seeds > 1 else ""
+        known = name.startswith("own") and quantity in OWN
+        wanted = 0.05 if known else WANTED.get(quantity.split(",")[0])
         made.append({
-            "scan": name, "quantity": option, "difference": off_truth, "wanted": "" if truth is None else 0.05,
-            "met": "" if truth is None else abs(off_truth) <= 0.05,
+            "scan": name, "quantity": quantity, "difference": value, "error": error,
+            "wanted": "" if wanted is None else wanted, "met": "" if wanted is None else abs(value) <= wanted,
         })  # fmt: skip
-    return twin, made
+    return found[0][0], made
 
 
 def draw(scan: ScalarField, twin: ScalarField, path: Path) -> None:
@@ -160,9 +208,12 @@ def write_page(page: Path, files: list[Path]) -> None:
         with path.open(encoding="utf-8") as file:
             for row in csv.DictReader(file):
                 quantity = row["quantity"].rpartition(".")[2].replace("_", " ")
-                value = float(row["difference"])
-                percent = f"{100 * value:+.1f} %" if row["wanted"] and quantity != "S2" else f"{value:.3g}"
-                shown = percent if row["met"] != "False" else f"**{percent}**"
+                scale, digits = (100, "+.1f") if row["wanted"] and quantity != "S2" else (1, ".3g")
+                shown = f"{scale * float(row['difference']):{digits}}"
+                if row["error"]:
+                    shown += f" ± {scale * float(row['error']):{digits.strip('+')}}"
+                shown += " %" if scale == 100 else ""
+                shown = shown if row["met"] != "False" else f"**{shown}**"
                 columns.setdefault(row["scan"], {})[quantity] = shown
     names = list(dict.fromkeys(name for column in columns.values() for name in column))
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
@@ -181,6 +232,7 @@ def main() -> None:
     parser.add_argument("scans", nargs="*")
     parser.add_argument("--draws", type=int, default=2)
     parser.add_argument("--evaluations", type=int, default=60)
+    parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--page", type=Path, help="a page whose table is made of the files instead")
     parser.add_argument("--only", help="part of the names of the scans that are taken")
     args = parser.parse_args()
@@ -192,7 +244,7 @@ def main() -> None:
         for name, n, scan in scans(args.scans):
             if args.only and args.only not in name:
                 continue
-            twin, found = rows(name, scan, n, args.draws, args.evaluations)
+            twin, found = rows(name, scan, n, args.draws, args.evaluations, args.seeds)
             if name.startswith(("own", "foam")):
                 draw(scan, twin, args.file.with_name(f"{args.file.stem}-{name.split(',')[0].split()[0]}.png"))
             for row in found:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from sppm_pipeline import Report, Table, number, reports
+from sppm_pipeline.features.scans.numerics.stretching import stretch_of
 from sppm_pipeline.nouns import TEXT, Chart, Curve
 from sppm_pipeline.services.arrays import F64
 
@@ -80,6 +82,22 @@ class StatisticsReport(Report):
     def anisotropy(self) -> float:
         """Longest over shortest mean intercept length."""
         return float(self.fabric[0] / self.fabric[2]) if self.fabric[2] > 0 else float("nan")
+
+    @cached_property
+    def _mapping(self) -> tuple[F64, F64]:
+        return stretch_of(self.fabric, self.axes)
+
+    @property
+    @reports("#3")
+    def stretch(self) -> F64:
+        """How an isotropic structure is stretched along x, y, z to have this fabric; the product is 1, or NaN."""
+        return self._mapping[0]
+
+    @property
+    @reports("#3", unit="degrees")
+    def turn(self) -> F64:
+        """Angles about x, then y, then z by which `warp.affine` turns it then."""
+        return self._mapping[1]
 
     def table(self, curve: str = "solid.S2") -> Table:
         """A curve as a table of the columns distance, value and error; `KeyError` if there is no such curve."""

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sppm_pipeline import Context, Headline, Palette, ScalarField, Size, Stage, option, options
+from sppm_pipeline import Context, Headline, Palette, ScalarField, Size, Stage, Voxels, option, options
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.scans.numerics.describing import balls_of
 from sppm_pipeline.features.scans.stages.tune_match import properties_of
@@ -108,7 +108,7 @@ class CheckScan(Stage):
         )  # fmt: skip
         if self.properties:
             found = [
-                properties_of(context, one, float(step), field.periodic)
+                properties_of(context, Voxels.from_array(one, spacing=float(step), periodic=field.periodic))
                 for one, field, step in zip(solid, (scan, design), h, strict=True)
             ]
             context.report(scan=found[0], design=found[1])

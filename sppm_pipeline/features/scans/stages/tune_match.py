@@ -3,31 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline import Context, Headline, Palette, Recipe, RecipeSize, ScalarField, Stage, Voxels, option, options
 from sppm_pipeline.engine.api.registering import registry
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.scans.image_field import ImageField
 from sppm_pipeline.features.scans.numerics import statistics as st
 from sppm_pipeline.features.scans.numerics.describing import Balls, Phase, balls_of, curves_of
+from sppm_pipeline.features.scans.numerics.stretching import matrix_of, stretch_of, stretched
 from sppm_pipeline.features.scans.stages.measure_statistics import sampled
 from sppm_pipeline.method.families.homogenizer import Quiet
-from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, Varied, options_at, varied_option
+from sppm_pipeline.method.families.tuner import HIGH, LOW, VARY, options_at, varied_option
 from sppm_pipeline.method.porosity.level import cut_for_porosity
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.numerics import cell_centers
-from sppm_pipeline.services.arrays import F64, Bools
+from sppm_pipeline.services.arrays import F32, F64, Bools
 
 KINDS = ("S2", "chords", "thickness", "fabric")
 """Statistics that are matched; the porosity always is."""
 
 MIN_VOXELS = 16
 """Along an edge of the cell that a recipe makes."""
+
+FINER = 2
+"""Samples of a cell that is stretched over voxels of the scan, along an edge."""
+
+MAX_ANISOTROPY = 1.15
+"""Longest over shortest mean intercept length of a scan, above which a `stretch` is proposed, a heuristic: of isotropic
+cells of 60 pores it is 1.1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +44,18 @@ class TuneMatch(Stage):
     sequence between `low` and `high` are tried, then the simplex method of Nelder and Mead goes on from the best. All
     trials draw the same random numbers, so that they differ by the options alone. The distance is a mean of what
     `match` names: S2 over all directions, distributions of chords and of local thickness of both phases, and fabric.
+    Of several `draws` the one that is nearest comes out.
+
+    Recipes draw structures that are alike in all directions, and a scan need not be. With `stretch` and `turn`, those
+    that `measure.statistics` says, trials are stretched and turned by them, in a box as large as the scan whose
+    sides do not meet. What comes out is the cell without both, which `warp.affine` stretches and turns.
 
     The cell of the recipe needs the physical size that the scan has (`edge`), if it has one; it need not be that of the
     scan. Twin and scan are compared on voxels of the same size.
 
-    What statistics do not fix is measured as well and said: stiffness and permeability of scan and twin, on the same
-    voxels (`hold_out`), that of a scan which does not repeat with its mirror images.
+    What statistics do not fix is measured as well and said: stiffness and permeability of scan and twin, alike on
+    voxels of the same size (`hold_out`): of fields in the limit of fine grids, and with the mirror images of what does
+    not repeat.
     """
 
     name: ClassVar[str] = "tune.match"
@@ -53,7 +65,7 @@ class TuneMatch(Stage):
     )  # fmt: skip
     reported: ClassVar[tuple[str, ...]] = (
         "distance", "values.#8", "porosity", "S2", "chords.solid", "chords.void", "thickness.solid", "thickness.void",
-        "fabric", "evaluations", "failed", "scan.*", "twin.*", "held_out.stiffness", "held_out.permeability",
+        "fabric", "evaluations", "failed", "draw", "scan.*", "twin.*", "held_out.stiffness", "held_out.permeability",
     )  # fmt: skip
 
     vary: tuple[str, ...] = option(help=f"{VARY}; one or more")
@@ -62,10 +74,16 @@ class TuneMatch(Stage):
     match: tuple[str, ...] = option(
         ("S2", "chords", "thickness"), help="statistics that are matched beside the porosity", choices=KINDS
     )
+    stretch: tuple[float, float, float] | None = option(
+        None, help="how many times longer; the twin is, along x, y and z", minimum=0.05, maximum=20
+    )
+    turn: tuple[float, float, float] | None = options.turn(None, note="by which what was stretched is turned")
     hold_out: bool = option(True, help="measure stiffness and permeability of scan and twin")
     starts: int = option(64, help="points of the Sobol sequence that are tried first", minimum=1, maximum=4096)
     evaluations: int = options.evaluations(160)
-    draws: int = options.draws(1, note="whose mean distance is made small", maximum=100)
+    draws: int = options.draws(
+        1, note="whose mean distance is made small, and the nearest of which comes out", maximum=100
+    )
     resolution: int = options.resolution(48, note="of a scan that is a field", maximum=256)
 
     def check_options(self) -> None:
@@ -95,28 +113,32 @@ class TuneMatch(Stage):
             raise DesignError(f"the scan is all {'solid' if solid.all() else 'void'}")
         reach = max(4, min(solid.shape) // 4)
         target = Look.at(solid, wraps, reach)
+        self._advise(context, solid, wraps)
         varied = [varied_option(recipe, name) for name in self.vary]
         ranges = [one.within(a, b) for one, a, b in zip(varied, self.low, self.high, strict=True)]
-        trials: dict[tuple[float, ...], tuple[float, ScalarField | None]] = {}
+        trials: dict[tuple[float, ...], tuple[float, int | None]] = {}  # the distance, and the nearest draw
         failures: list[str] = []
+
+        def made_at(at: tuple[float, ...], draw: int) -> tuple[ScalarField, F32]:
+            return self._made(context, recipe, options_at(varied, at), draw, 1 - target.share, solid.shape, spacing[0],
+                              unit)  # fmt: skip
 
         def evaluate(place: F64) -> float:
             numbers = [a + (b - a) * float(np.clip(p, 0, 1)) for (a, b), p in zip(ranges, place, strict=True)]
             at = tuple(float(round(v)) if one.whole else v for one, v in zip(varied, numbers, strict=True))
             if at in trials:
                 return trials[at][0]
-            found, first = [], None
+            found = {}
             for draw in range(self.draws):
                 try:
-                    twin, image = self._made(context, recipe, varied, at, draw, 1 - target.share, spacing[0], unit)
+                    image = made_at(at, draw)[1] < 0
                 except DesignError as error:
                     failures.append(error.message)
                     continue
-                found.append(distance(target, Look.at(image, True, reach), self.match))
-                first = twin if first is None else first
+                found[draw] = distance(target, Look.at(image, not self._boxed, reach), self.match)
             # a draw that fails is as far away as can be
-            total = (sum(found) + self.draws - len(found)) / self.draws
-            trials[at] = (total, first)
+            total = (sum(found.values()) + self.draws - len(found)) / self.draws
+            trials[at] = (total, min(found, key=found.__getitem__, default=None))
             context.progress(len(trials), self.evaluations, "trials")
             return total
 
@@ -124,18 +146,33 @@ class TuneMatch(Stage):
         for reason in dict.fromkeys(failures):
             context.warn(f"left out: {reason}")
         best = min(trials, key=lambda at: trials[at][0])
-        value, made = trials[best]
-        if made is None:
+        value, nearest = trials[best]
+        if nearest is None:
             raise DesignError(f"no trial made a structure: {failures[0] if failures else 'none was drawn'}")
-        image = made.sample(_grid(made, spacing[0], unit), context.threads) < 0
-        context.report(distance=value, values=list(best), evaluations=len(trials), failed=len(failures))
-        context.report(**differences(target, Look.at(image, True, reach)))
+        made, values = made_at(best, nearest)
+        context.report(distance=value, values=list(best), evaluations=len(trials), failed=len(failures), draw=nearest)
+        context.report(**differences(target, Look.at(values < 0, not self._boxed, reach)))
         for name, at, (a, b) in zip(self.vary, best, ranges, strict=True):
             if min(at - a, b - at) < 0.01 * (b - a):
                 context.warn(f"the best {name} is {at:g}, at the end of its range from {a:g} to {b:g}: widen it")
         if self.hold_out:
-            self._compare(context, solid, image, spacing[0], wraps)
+            self._compare(context, scan, made, values, spacing[0], unit)
         return made
+
+    @property
+    def _boxed(self) -> bool:
+        """Whether trials are mapped into a box, whose sides do not meet."""
+        return self.stretch is not None or self.turn is not None
+
+    def _advise(self, context: Context, solid: Bools, wraps: bool) -> None:
+        """Warn of a scan that no recipe resembles without a stretch."""
+        lengths, axes = st.fabric(st.configurations(solid, wraps), (1.0,) * 3)
+        if not self._boxed and np.isfinite(lengths).all() and lengths[0] > MAX_ANISOTROPY * lengths[2]:
+            stretch, turn = (", ".join(f"{v:.3g}" for v in values) for values in stretch_of(lengths, axes))
+            context.warn(
+                f"intercepts of the scan are {lengths[0] / lengths[2]:.3g} times as long along one axis as along "
+                f"another: `stretch: [{stretch}]` and `turn: [{turn}]` make the twin likewise"
+            )
 
     def _search(self, evaluate: Any, count: int) -> None:
         """The points of a Sobol sequence, then a simplex around the best of them."""
@@ -156,21 +193,36 @@ class TuneMatch(Stage):
         )  # fmt: skip
 
     def _made(
-        self, context: Context, recipe: Recipe, varied: Sequence[Varied], at: Sequence[float], draw: int,
-        porosity: float, voxel: float, unit: str,
-    ) -> tuple[ScalarField, Bools]:  # fmt: skip
-        """What the recipe makes, cut at the porosity, and its voxels."""
-        made = recipe.run(context, palette=context.palette, attempt=draw, options=options_at(varied, at))
+        self, context: Context, recipe: Recipe, options: dict[str, dict[str, Any]], draw: int, porosity: float,
+        shape: tuple[int, ...], voxel: float, unit: str,
+    ) -> tuple[ScalarField, F32]:  # fmt: skip
+        """What the recipe makes, cut at the porosity, and its values at voxels of the cell, or of the box."""
+        made = recipe.run(context, palette=context.palette, attempt=draw, options=options)
         if not isinstance(made, ScalarField) or not made.periodic:
             raise ConfigError(f"the recipe {recipe.name!r} makes no field of a cell that repeats")
-        values = made.sample(_grid(made, voxel, unit), context.threads)
+        count = _count(made, voxel, unit)
+        if self._boxed:
+            fine = made.sample(FINER * count, context.threads)
+            matrix, (nx, ny, nz) = matrix_of(self.stretch or (1.0, 1.0, 1.0), self.turn), shape
+            values = stretched(fine, FINER, matrix, (nx, ny, nz))
+        else:
+            values = made.sample(count, context.threads)
         cut = cut_for_porosity(values, porosity).level
-        return made.cut_at(cut), values < cut
+        return made.cut_at(cut), values - np.float32(cut)
 
-    def _compare(self, context: Context, scan: Bools, twin: Bools, voxel: float, wraps: bool) -> None:
+    def _compare(
+        self, context: Context, scan: ScalarField | Voxels, made: ScalarField, values: F32, voxel: float, unit: str
+    ) -> None:
         """Measure and say what was not matched."""
-        images = {"scan": (scan, wraps), "twin": (twin, True)}
-        found = {name: properties_of(context, solid, voxel, repeats) for name, (solid, repeats) in images.items()}
+        twin: ScalarField | Voxels = made
+        count = _count(made, voxel, unit)
+        if isinstance(scan, Voxels):
+            twin = Voxels.from_array(values < 0, spacing=voxel, periodic=not self._boxed)
+        elif self._boxed:
+            twin = box = ImageField.through(values, (voxel,) * 3, physical=unit == "mm", periodic=False)
+            count = round(box.per_cell[0])
+        pairs = (("scan", scan, self.resolution), ("twin", twin, count))
+        found = {name: properties_of(context, one, resolution) for name, one, resolution in pairs}
         off = {
             key: found["twin"][key] / found["scan"][key] - 1 if found["scan"][key] else None
             for key in ("stiffness", "permeability")
@@ -178,8 +230,8 @@ class TuneMatch(Stage):
         context.report(held_out=off, **found)
 
 
-def _grid(field: ScalarField, voxel: float, unit: str) -> Any:
-    """Voxels of the size of the scan's, as nearly as whole numbers of them fit the cell."""
+def _count(field: ScalarField, voxel: float, unit: str) -> int:
+    """Voxels of the size of the scan's along the cell, as nearly as whole numbers of them fit it."""
     if unit == "mm" and field.edge_mm is None:
         raise ConfigError(
             "the scan has a physical size, and the recipe makes a cell without one",
@@ -191,7 +243,7 @@ def _grid(field: ScalarField, voxel: float, unit: str) -> Any:
             f"the cell of the recipe is {count} voxels of the scan wide; {MIN_VOXELS} or more are needed",
             hint="give it a larger `edge`, or the scan finer voxels (`resolution`)",
         )
-    return cell_centers(count, field.cells)
+    return count
 
 
 class Look(NamedTuple):
@@ -238,12 +290,13 @@ def distance(scan: Look, twin: Look, kinds: tuple[str, ...]) -> float:
     S2 counts by the root mean square difference over its range, chords and thickness by the relative difference of
     their means and the area between their distribution functions, over the mean; fabric by that of intercepts.
     """
-    parts: list[float] = []
+    parts, off = [], differences(scan, twin)
     if "S2" in kinds:
         m = min(len(scan.pairs), len(twin.pairs))
         spread = scan.share * (1 - scan.share)
         parts.append(float(np.sqrt(np.mean((scan.pairs[:m] - twin.pairs[:m]) ** 2))) / spread)
-    for number in range(2):
+    for number, name in enumerate(("solid", "void")):
+        parts += [off[kind][name] for kind in ("chords", "thickness") if kind in kinds]
         if "chords" in kinds:
             sizes = [np.arange(len(look.phases[number].chords), dtype=float) for look in (scan, twin)]
             parts.append(_apart(sizes[0], scan.phases[number].chords, sizes[1], twin.phases[number].chords))
@@ -272,24 +325,32 @@ class _Silent(Quiet):
         """Drop numbers."""
 
 
-def properties_of(context: Context, solid: NDArray[np.bool_], voxel: float, periodic: bool) -> dict[str, Any]:
-    """Stiffness of the solid (x, y, z) and permeability of the void; with mirror images of what is not periodic.
+def properties_of(context: Context, source: ScalarField | Voxels, resolution: int = 0) -> dict[str, Any]:
+    """Stiffness of the solid and permeability of the void; with mirror images of what is not periodic.
+
+    A field is solved on `resolution` voxels along the edge of a cell and on coarser ones, for the limit of fine grids.
 
     Returns
     -------
     dict
-        `stiffness`, the mean of C11, C22 and C33 over Young's modulus of the solid; `C`, these three; `permeability`,
-        the mean along the axes, mm^2; `k`, these three. All 0 where nothing carries or flows.
+        `stiffness`, the mean of C11, C22 and C33 over Young's modulus of the solid; `C`, these three, with half widths
+        `C_error`; `permeability`, the mean along the axes, mm^2; `k`, these three. All 0 where nothing carries or
+        flows.
     """
-    image, sides = Voxels.from_array(solid, spacing=voxel, periodic=periodic), "periodic" if periodic else "mirror"
+    repeats = all(source.periodic) if isinstance(source, Voxels) else source.periodic
+    given: dict[str, Any] = {"sides": "periodic" if repeats else "mirror"}
+    if isinstance(source, ScalarField):
+        given["resolution"] = resolution
     silent = cast(Context, _Silent(context))
-    found: dict[str, Any] = {"sides": sides}
+    found: dict[str, Any] = {"sides": given["sides"], "C_error": [0.0] * 3}
     for name, number, stage, scale in (
         ("stiffness", "C", "homogenize.voxel", 1.0), ("permeability", "k", "homogenize.permeability", 1e6),
     ):  # fmt: skip
         try:
             made: Any = registry().get(stage)
-            report = made(sides=sides, grids=1).run(silent, image)
+            report = made(**given).run(silent, source)
+            if name == "stiffness" and report.error is not None:
+                found["C_error"] = [float(value) for value in np.diag(report.error)[:3]]
             tensor = report.stiffness[:3, :3] if name == "stiffness" else report.m2
             values = [scale * float(value) for value in np.diag(tensor)]
         except DesignError:  # no way through along any axis
