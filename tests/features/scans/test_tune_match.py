@@ -8,6 +8,8 @@ from scipy.ndimage import gaussian_filter
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.features.scans.image_field import ImageField
+from sppm_pipeline.features.scans.numerics.statistics import configurations, fabric
+from sppm_pipeline.features.scans.numerics.stretching import matrix_of, stretch_of, stretched
 from sppm_pipeline.features.scans.stages.tune_match import KINDS, Look, TuneMatch, differences, distance
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
@@ -76,6 +78,54 @@ def test_the_distance_is_zero_for_the_same_and_grows_with_the_size_of_balls():
     near, far = (distance(looks[0], look, ("S2", "chords", "thickness")) for look in looks[1:])
     assert 0 < near < far < 1
     assert differences(looks[0], looks[2])["chords"]["solid"] > 0.3
+
+
+STRETCH, TURN = (1.3, 1.0, 1 / 1.3), (10.0, -20.0, 30.0)
+
+
+def test_cells_are_mapped_about_their_middle():
+    values = np.random.default_rng(0).random((8, 8, 8), np.float32)
+    np.testing.assert_array_equal(stretched(values, 1, np.eye(3), (8, 8, 8)), values)
+    turned = stretched(values, 1, matrix_of((1, 1, 1), (0, 0, 90)), (8, 8, 8))
+    np.testing.assert_allclose(turned, np.rot90(values), atol=1e-5)
+    # half as long along x: two periods in the box, each of every other sample's mean
+    halved = stretched(values, 1, matrix_of((0.5, 1, 1), None), (8, 8, 8))
+    np.testing.assert_allclose(halved[:4], np.roll(values.reshape(4, 2, 8, 8).mean(1), -2, 0), atol=1e-5)
+    np.testing.assert_allclose(halved[:4], halved[4:], atol=1e-5)
+    # twice as fine samples of the same cell
+    np.testing.assert_allclose(
+        stretched(values.repeat(2, 0).repeat(2, 1).repeat(2, 2), 2, np.eye(3), (8, 8, 8)), values
+    )
+
+
+def test_the_fabric_shows_stretch_and_turn():
+    values = recipe(60).run(PlainContext(3)).sample(64)
+    box = stretched(values, 1, matrix_of(STRETCH, TURN), (64, 64, 64)) < np.quantile(values, 0.4)
+    stretch, turn = stretch_of(*fabric(configurations(box, False), (1.0,) * 3))
+    np.testing.assert_allclose(stretch, STRETCH, rtol=0.06)
+    off = matrix_of((1, 1, 1), TURN).T @ matrix_of((1, 1, 1), tuple(turn))
+    assert np.degrees(np.arccos((np.trace(off) - 1) / 2)) < 12
+    lengths, axes = np.array([3.0, 2.0, 1.0]), matrix_of((1, 1, 1), TURN).T
+    stretch, turn = stretch_of(lengths, axes)
+    np.testing.assert_allclose(stretch, lengths / 6 ** (1 / 3))
+    np.testing.assert_allclose(turn, TURN)
+    np.testing.assert_allclose(stretch_of(lengths, -axes)[1], TURN)  # axes have no sign
+
+
+def test_a_twin_is_stretched_and_the_nearest_of_its_draws():
+    values = recipe(60).run(PlainContext(3)).sample(36)
+    values = stretched(values, 1, matrix_of(STRETCH, TURN), (36, 36, 36))
+    values = np.asfortranarray(values - np.float32(np.quantile(values, 0.4)))
+    scan = ImageField.through(values, (1 / 36,) * 3, physical=False, periodic=False)
+    few = {"starts": 2, "evaluations": 2, "low": (55.0,), "high": (65.0,), "resolution": 36}
+    _, plain = matched(scan, **few)
+    assert "`stretch: [1." in plain.warnings[0]
+    made, context = matched(scan, **few, stretch=STRETCH, turn=TURN, draws=3)
+    found = context.reported
+    assert made.periodic  # as it was before it was stretched
+    assert found["draw"] in (0, 1, 2)
+    assert abs(found["fabric"]) < 0.12 < abs(plain.reported["fabric"])
+    assert not context.warnings
 
 
 def test_options_that_do_not_fit_are_refused():

@@ -219,7 +219,7 @@ class TuneMatch(Stage):
         if isinstance(scan, Voxels):
             twin = Voxels.from_array(values < 0, spacing=voxel, periodic=not self._boxed)
         elif self._boxed:
-            twin = box = ImageField.through(values, (voxel,) * 3, physical=unit == "mm", periodic=False)
+            twin = box = ImageField.through(values, (voxel,) * 3, physical=True, periodic=False)
             count = round(box.per_cell[0])
         pairs = (("scan", scan, self.resolution), ("twin", twin, count))
         found = {name: properties_of(context, one, resolution) for name, one, resolution in pairs}
@@ -333,26 +333,26 @@ def properties_of(context: Context, source: ScalarField | Voxels, resolution: in
     Returns
     -------
     dict
-        `stiffness`, the mean of C11, C22 and C33 over Young's modulus of the solid; `C`, these three, with half widths
-        `C_error`; `permeability`, the mean along the axes, mm^2; `k`, these three. All 0 where nothing carries or
-        flows.
+        `stiffness`, the mean of C11, C22 and C33 over Young's modulus of the solid; `C`, these three, and of fields
+        the half widths `C_error`; `permeability`, the mean along the axes, mm^2, or cell sizes of what has no physical
+        size; `k`, these three. All 0 where nothing carries or flows.
     """
     repeats = all(source.periodic) if isinstance(source, Voxels) else source.periodic
     given: dict[str, Any] = {"sides": "periodic" if repeats else "mirror"}
     if isinstance(source, ScalarField):
         given["resolution"] = resolution
     silent = cast(Context, _Silent(context))
-    found: dict[str, Any] = {"sides": given["sides"], "C_error": [0.0] * 3}
-    for name, number, stage, scale in (
-        ("stiffness", "C", "homogenize.voxel", 1.0), ("permeability", "k", "homogenize.permeability", 1e6),
+    found: dict[str, Any] = {"sides": given["sides"]}
+    for name, number, stage in (
+        ("stiffness", "C", "homogenize.voxel"), ("permeability", "k", "homogenize.permeability")
     ):  # fmt: skip
         try:
             made: Any = registry().get(stage)
             report = made(**given).run(silent, source)
-            if name == "stiffness" and report.error is not None:
+            tensor = report.stiffness[:3, :3] if number == "C" else report.k * (report.edge_mm or 1.0) ** 2
+            values = [float(value) for value in np.diag(tensor)]
+            if number == "C" and report.error is not None:
                 found["C_error"] = [float(value) for value in np.diag(report.error)[:3]]
-            tensor = report.stiffness[:3, :3] if name == "stiffness" else report.m2
-            values = [scale * float(value) for value in np.diag(tensor)]
         except DesignError:  # no way through along any axis
             values = [0.0, 0.0, 0.0]
         found |= {name: sum(values) / 3, number: values}
