@@ -155,29 +155,21 @@ def _ridge(squared: I32, wraps: U8) -> U8:
                 own = squared[k, j, i]
                 if own == 0:
                     continue
+                inner = 0 < k < nz - 1 and 0 < j < ny - 1 and 0 < i < nx - 1
                 covered = False
                 for step in range(27):
                     dk, dj, di = step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1
-                    apart = dk * dk + dj * dj + di * di
-                    if apart == 0:
-                        continue
                     z, y, x = k + dk, j + dj, i + di
-                    if wraps[0]:
-                        z %= nz
-                    elif z < 0 or z >= nz:
-                        continue
-                    if wraps[1]:
-                        y %= ny
-                    elif y < 0 or y >= ny:
-                        continue
-                    if wraps[2]:
-                        x %= nx
-                    elif x < 0 or x >= nx:
-                        continue
-                    other = squared[z, y, x]
+                    if not inner:
+                        if (not wraps[0] and not 0 <= z < nz) or (not wraps[1] and not 0 <= y < ny):
+                            continue
+                        if not wraps[2] and not 0 <= x < nx:
+                            continue
+                        z, y, x = z % nz, y % ny, x % nx
+                    apart = dk * dk + dj * dj + di * di
                     # sqrt(other) >= sqrt(own) + sqrt(apart), in integers
-                    rest = other - own - apart
-                    if rest > 0 and np.int64(rest) * rest >= 4 * np.int64(own) * apart:
+                    rest = squared[z, y, x] - own - apart
+                    if apart > 0 and rest > 0 and np.int64(rest) * rest >= 4 * np.int64(own) * apart:
                         covered = True
                         break
                 if not covered:
@@ -187,8 +179,14 @@ def _ridge(squared: I32, wraps: U8) -> U8:
 
 @jit
 def _paint(squared: I32, centers: I64, wraps: U8, painted: F32) -> None:
-    """Give each voxel the diameter of the first ball that covers it."""
+    """Give each voxel the diameter of the first ball that covers it.
+
+    Balls hold nothing but the phase. Each voxel knows of a number of voxels from it on in its row that are painted, so
+    that what larger balls cover is not visited again.
+    """
     nz, ny, nx = squared.shape
+    done = np.zeros((nz, ny, nx), np.uint16)
+    ends = np.empty((2, 2), np.int64)
     for center in centers:
         k, j, i = center // (ny * nx), center // nx % ny, center % nx
         reach = squared[k, j, i]
@@ -210,11 +208,20 @@ def _paint(squared: I32, centers: I64, wraps: U8, painted: F32) -> None:
                 elif y < 0 or y >= ny:
                     continue
                 half = int(np.sqrt(np.float64(left - 1)))  # strictly inside: the voxel at the radius is outside
-                for di in range(-min(half, nx - 1), min(half, nx - 1) + 1):
-                    x = i + di
-                    if wraps[2]:
-                        x %= nx
-                    elif x < 0 or x >= nx:
-                        continue
-                    if painted[z, y, x] == 0 and squared[z, y, x] > 0:
-                        painted[z, y, x] = diameter
+                low, high = i - half, i + half + 1
+                # what leaves a row comes in at its other end
+                ends[0, 0], ends[0, 1] = max(low, 0), min(high, nx)
+                ends[1, 0], ends[1, 1] = 0, 0
+                if wraps[2] and low < 0:
+                    ends[1, 0], ends[1, 1] = max(low + nx, ends[0, 1]), nx
+                elif wraps[2] and high > nx:
+                    ends[1, 1] = min(high - nx, low)
+                for part in range(2):
+                    x, stop = ends[part, 0], ends[part, 1]
+                    while x < stop:
+                        step = np.int64(done[z, y, x])
+                        if step == 0:
+                            painted[z, y, x] = diameter
+                            step = 1
+                        done[z, y, x] = min(max(np.int64(done[z, y, x]), stop - x), 65535)
+                        x += step

@@ -31,6 +31,9 @@ MIN_VOXELS = 16
 FINER = 2
 """Samples of a cell that is stretched over voxels of the scan, along an edge."""
 
+SOLVER_TOLERANCE = 1e-3
+"""Of stiffness and permeability, which differ by more from one draw to the next."""
+
 MAX_ANISOTROPY = 1.15
 """Longest over shortest mean intercept length of a scan, above which a `stretch` is proposed, a heuristic: of isotropic
 cells of 60 pores it is 1.1."""
@@ -338,7 +341,7 @@ def properties_of(context: Context, source: ScalarField | Voxels, resolution: in
         size; `k`, these three. All 0 where nothing carries or flows.
     """
     repeats = all(source.periodic) if isinstance(source, Voxels) else source.periodic
-    given: dict[str, Any] = {"sides": "periodic" if repeats else "mirror"}
+    given: dict[str, Any] = {"sides": "periodic" if repeats else "mirror", "solver_tolerance": SOLVER_TOLERANCE}
     if isinstance(source, ScalarField):
         given["resolution"] = resolution
     silent = cast(Context, _Silent(context))
