@@ -1,11 +1,11 @@
 """Results beside those of independent codes, number by number: a CSV file of raw values.
 
-    python -m benchmarks.independent FILE.csv [VOXELS]
+    python -m benchmarks.independent FILE.csv [VOXELS [CODE ...]]
 
 The same images of whole voxels go to each code that is installed (`pip install muGrid scikit-fem porespy`): muGrid
 (FFT, stiffness), scikit-fem (an assembled matrix and a direct solver, stiffness and conductivity), CalculiX (`ccx`, the
-same bricks, stiffness), PoreSpy (porosity, local thickness of the void, pores and throats of a network; 32 voxels or
-more have some). Images are cells of the presets `paper` and `stiff`, VOXELS (16) along an edge. The largest differences
+same bricks, stiffness), PoreSpy (porosity, local thickness of the void, pores and throats of a network; take 32
+voxels or more). Images are cells of the presets `paper` and `stiff`, VOXELS (16) along an edge. The largest differences
 are printed. `tests/features/flow/test_write_network.py` compares the flow of a network with OpenPNM where that is
 installed.
 """
@@ -46,14 +46,20 @@ def named(name: str, values: Any) -> Values:
 
 
 def ours(solid: NDArray[np.bool_]) -> Values:
-    """Stiffness, conductivity, porosity and thickness by this program; images are (nz, ny, nx)."""
+    """Stiffness and conductivity by this program; images are (nz, ny, nx)."""
     exact = {"residual": 1e-9, "tolerance": 0.0, "precision": np.float64}
+    return {
+        **named("C", np.diag(stiffness(LAM * solid, MU * solid, **exact).stiffness)),
+        **named("k", np.diag(conductivity(1.0 * solid, **exact).conductivity)),
+    }
+
+
+def ours_of_void(solid: NDArray[np.bool_]) -> Values:
+    """Porosity, thickness of the void and its network by this program."""
     thick = local_thickness(~solid)
     network = regions_of(~solid, (1.0, 1.0, 1.0))
     pores = int(np.count_nonzero(network.volume))
     return {
-        **named("C", np.diag(stiffness(LAM * solid, MU * solid, **exact).stiffness)),
-        **named("k", np.diag(conductivity(1.0 * solid, **exact).conductivity)),
         "porosity": 1 - float(solid.mean()), "thickness": float(thick[~solid].mean()),
         "pores": float(pores), "throat": 2 * float(network.throat[network.conns[:, 1] < pores].mean()),
     }  # fmt: skip
@@ -192,13 +198,17 @@ def largest_piece(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def by_porespy(solid: NDArray[np.bool_]) -> Values:
     """Porosity, mean local thickness of the void, which repeats; pores and mean throat of the network of SNOW.
 
-    Radii there end at centers of solid voxels.
+    Radii there end at centers of solid voxels, half a voxel beyond ours. Of the methods since PoreSpy 3 only this one
+    takes radii that are no whole numbers.
     """
     import porespy
+    from scipy.ndimage import distance_transform_edt
 
     n = len(solid)
     void = np.tile(~solid, (3, 3, 3))  # its spheres see no other side
-    thick = 2 * porespy.filters.local_thickness(void, method="dt")
+    distances = distance_transform_edt(void)
+    radii = np.unique(distances[void]) - 1e-4  # beyond rounding, as a voxel at the radius is outside
+    thick = 2 * porespy.filters.local_thickness(void, dt=distances, method="legacy", sizes=radii) + 2e-4 - 1
     middle = thick[n : 2 * n, n : 2 * n, n : 2 * n]
     network = porespy.networks.snow2(~solid, boundary_width=0).network
     return {
@@ -220,15 +230,19 @@ def version_of(name: str) -> str:
     return subprocess.run(["ccx", "-v"], capture_output=True, text=True, check=False).stdout.split()[-1]
 
 
-def rows(n: int) -> Iterator[dict[str, Any]]:
-    """A row for each number of each code that is installed."""
+def rows(n: int, only: list[str]) -> Iterator[dict[str, Any]]:
+    """A row for each number of each code that is installed, and named if any is."""
     for preset, porosity, seed in CELLS:
         field = sppm.cell(preset, porosity=porosity, seed=seed)
         solid = np.ascontiguousarray(field.voxels(n).values.T > 0)
-        own = ours(solid)
+        found: dict[bool, Values] = {}
         for name, module, compute in CODES:
-            if not (shutil.which(module) or importlib.util.find_spec(module)):
+            if not (shutil.which(module) or importlib.util.find_spec(module)) or (only and name not in only):
                 continue
+            void = name == "porespy"
+            if void not in found:
+                found[void] = (ours_of_void if void else ours)(solid)
+            own = found[void]
             for quantity, value in compute(solid).items():
                 yield {
                     "cell": f"{preset} {porosity} seed {seed}", "voxels": n, "quantity": quantity,
@@ -237,12 +251,12 @@ def rows(n: int) -> Iterator[dict[str, Any]]:
                 }  # fmt: skip
 
 
-def main(path: Path, n: int) -> None:
+def main(path: Path, n: int, only: list[str]) -> None:
     """Write the file, and print the largest difference of each code and kind of quantity."""
     largest: dict[tuple[str, str], float] = {}
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = None
-        for row in rows(n):
+        for row in rows(n, only):
             writer = writer or csv.DictWriter(file, list(row))
             if file.tell() == 0:
                 writer.writeheader()
@@ -256,4 +270,4 @@ def main(path: Path, n: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 16)
+    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 16, sys.argv[3:])

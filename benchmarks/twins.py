@@ -27,16 +27,24 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sppm_pipeline.features.scans.image_field import ImageField
+from sppm_pipeline.features.scans.numerics.statistics import configurations, fabric
+from sppm_pipeline.features.scans.numerics.stretching import matrix_of, stretch_of, stretched
 from sppm_pipeline.features.scans.stages.measure_statistics import MeasureStatistics
-from sppm_pipeline.features.scans.stages.tune_match import TuneMatch
+from sppm_pipeline.features.scans.stages.tune_match import Look, TuneMatch, differences, properties_of
+from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
+from sppm_pipeline.features.stiffness.stages.tune_tensor import TuneTensor
 from sppm_pipeline.features.walls.stages.field_walls import WallsField
+from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.stiffness_design import StiffnessDesign
+from sppm_pipeline.method.porosity.level import cut_for_porosity
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
 from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
 from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.numerics import cell_centers
 from sppm_pipeline.services.segmentation import otsu
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
@@ -71,12 +79,12 @@ def balls() -> Any:
     )
 
 
-def plates() -> Any:
+def plates(total: float = 200, share: float = 0.4, tunnel_radius: float = 0.05, struts: float = 0.5) -> Any:
     """Rods and plates: walls between pores of many sizes, with holes where tunnels pierce them, or without middles."""
     return recipe_of(
-        DartThrowing(total=200, share=0.4, edge=Length(1.0, "mm")),
+        DartThrowing(total=int(total), share=share, edge=Length(1.0, "mm")),
         RelativeNeighbors(degree=(3, 12)),
-        WallsField(thickness=Length(0.01), tunnel_radius=Length(0.05), rounding=Length(0.005), struts=0.5),
+        WallsField(thickness=Length(0.01), tunnel_radius=Length(tunnel_radius), rounding=Length(0.005), struts=struts),
     )
 
 
@@ -144,18 +152,18 @@ def scans(paths: list[str]) -> list[tuple[str, int, ScalarField]]:
     ]  # fmt: skip
 
 
-def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seed: int) -> tuple[Any, Any, Any]:
-    """The twin, quantities by name, and how the scan was stretched."""
+def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seed: int) -> tuple[Any, Any]:
+    """The twin, and quantities by name."""
     context = PlainContext(seed)
-    fabric: dict[str, Any] = {}
+    mapping: dict[str, Any] = {}
     recipe, varied = RECIPES.get(name, RECIPES[""])
     if name not in RECIPES:
         report = MeasureStatistics(resolution=n, subcubes=1).run(context, scan)
-        fabric = {"stretch": tuple(report.stretch.tolist()), "turn": tuple(report.turn.tolist())}
+        mapping = {"stretch": tuple(report.stretch.tolist()), "turn": tuple(report.turn.tolist())}
     # the level that meets the porosity makes up for radii that are all larger: of pores and tunnels one is known
     twin = TuneMatch(
         vary=tuple(varied), low=tuple(a for a, _ in varied.values()), high=tuple(b for _, b in varied.values()),
-        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, **fabric,
+        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, **mapping,
     ).run(context, recipe(), scan)  # fmt: skip
     found = context.reported
     quantities = {
@@ -167,7 +175,17 @@ def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, 
     for option, value in zip(varied, found["values"], strict=True):
         truth = OWN.get(option) if name.startswith("own") else None
         quantities[option] = value if truth is None else value / truth - 1
-    return twin, quantities, fabric
+    return twin, quantities
+
+
+def row(name: str, quantity: str, value: float, error: float | str) -> dict[str, Any]:
+    """A row of the table."""
+    known = name.startswith("own") and quantity in OWN
+    wanted = 0.05 if known else WANTED.get(quantity.split(",")[0])
+    return {
+        "scan": name, "quantity": quantity, "difference": value, "error": error,
+        "wanted": "" if wanted is None else wanted, "met": "" if wanted is None else abs(value) <= wanted,
+    }  # fmt: skip
 
 
 def rows(
@@ -179,13 +197,42 @@ def rows(
     for quantity in found[0][1]:
         values = np.array([one[1][quantity] for one in found], float)
         value, error = float(values.mean()), float(values.std(ddof=1)) if seeds > 1 else ""
-        known = name.startswith("own") and quantity in OWN
-        wanted = 0.05 if known else WANTED.get(quantity.split(",")[0])
-        made.append({
-            "scan": name, "quantity": quantity, "difference": value, "error": error,
-            "wanted": "" if wanted is None else wanted, "met": "" if wanted is None else abs(value) <= wanted,
-        })  # fmt: skip
+        made.append(row(name, quantity, value, error))
     return found[0][0], made
+
+
+def with_tensor(name: str, scan: ScalarField, n: int, found: dict[str, float]) -> list[dict[str, Any]]:
+    """Rows of a twin whose level `tune.tensor` has changed, until its stiffness is that of the scan.
+
+    The stiffness of the scan is that with its mirror images, of the twin that of the cell that repeats, stretched.
+    """
+    context = PlainContext(1)
+    silent: Any = Quiet(context)
+    solid = scan.solid(cell_centers(n, scan.cells)).view(np.bool_)
+    target = Look.at(solid, False, n // 4)
+    stretch, turn = stretch_of(*fabric(configurations(solid, False), (1.0,) * 3))
+    own = HomogenizeVoxel(sides="mirror", resolution=n, solver_tolerance=1e-3).run(silent, scan).stiffness
+    nothing, matrix = np.zeros((6, 6)), matrix_of(tuple(stretch), tuple(turn))
+    design = StiffnessDesign(
+        recipe="recipe", options=(), porosity=1 - target.share, stretch=stretch, rotation=matrix / stretch,
+        stiffness=own, target=own, mean_error=nothing, draw_error=nothing, distance=0.0, floor=0.0, grid_error=0.0,
+        draws=1,
+    )  # fmt: skip
+    recipe = plates(**{option.rpartition(".")[2]: value for option, value in found.items()})
+    twin = TuneTensor(trials=1, resolution=40, max_distance=1.0).run(silent, recipe, design)
+    values = stretched(twin.sample(2 * N), 2, matrix, solid.shape)
+    values -= np.float32(cut_for_porosity(values, 1 - target.share).level)
+    off = differences(target, Look.at(values < 0, False, n // 4))
+    box = ImageField.through(values, (1 / N,) * 3, physical=True, periodic=False)
+    k = [properties_of(silent, one, n)["permeability"] for one in (scan, box)]
+    quantities = {
+        "porosity": off["porosity"],
+        "S2": off["S2"],
+        **{f"{kind}, {phase}": off[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")},
+        "permeability": k[1] / k[0] - 1,
+        "stiffness": context.reported["distance"],
+    }
+    return [row(f"{name}, tune.tensor", quantity, value, "") for quantity, value in quantities.items()]
 
 
 def draw(scan: ScalarField, twin: ScalarField, path: Path) -> None:
@@ -233,6 +280,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=2)
     parser.add_argument("--evaluations", type=int, default=60)
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--tensor", type=Path, help="a file whose twins go on to `tune.tensor`, by the options in it")
     parser.add_argument("--page", type=Path, help="a page whose table is made of the files instead")
     parser.add_argument("--only", help="part of the names of the scans that are taken")
     args = parser.parse_args()
@@ -244,16 +292,21 @@ def main() -> None:
         for name, n, scan in scans(args.scans):
             if args.only and args.only not in name:
                 continue
-            twin, found = rows(name, scan, n, args.draws, args.evaluations, args.seeds)
-            if name.startswith(("own", "foam")):
+            if args.tensor:
+                with args.tensor.open(encoding="utf-8") as earlier:
+                    given = [one for one in csv.DictReader(earlier) if one["scan"] == name and not one["wanted"]]
+                found = with_tensor(name, scan, n, {one["quantity"]: float(one["difference"]) for one in given})
+            else:
+                twin, found = rows(name, scan, n, args.draws, args.evaluations, args.seeds)
+            if name.startswith(("own", "foam")) and not args.tensor:
                 draw(scan, twin, args.file.with_name(f"{args.file.stem}-{name.split(',')[0].split()[0]}.png"))
-            for row in found:
-                writer = writer or csv.DictWriter(file, list(row))
+            for one in found:
+                writer = writer or csv.DictWriter(file, list(one))
                 if file.tell() == 0:
                     writer.writeheader()
-                writer.writerow(row)
+                writer.writerow(one)
                 file.flush()
-                print(*row.values(), sep=" | ", flush=True)
+                print(*one.values(), sep=" | ", flush=True)
 
 
 if __name__ == "__main__":

@@ -341,9 +341,9 @@ def properties_of(context: Context, source: ScalarField | Voxels, resolution: in
         size; `k`, these three. All 0 where nothing carries or flows.
     """
     repeats = all(source.periodic) if isinstance(source, Voxels) else source.periodic
-    given: dict[str, Any] = {"sides": "periodic" if repeats else "mirror", "solver_tolerance": SOLVER_TOLERANCE}
+    given: dict[str, Any] = {"sides": "periodic" if repeats else "mirror"}
     if isinstance(source, ScalarField):
-        given["resolution"] = resolution
+        given |= {"resolution": resolution, "solver_tolerance": SOLVER_TOLERANCE}
     silent = cast(Context, _Silent(context))
     found: dict[str, Any] = {"sides": given["sides"]}
     for name, number, stage in (
