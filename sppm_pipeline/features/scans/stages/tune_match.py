@@ -49,7 +49,7 @@ class TuneMatch(Stage):
     `match` names: S2 over all directions, distributions of chords and of local thickness of both phases, and fabric.
     Of several `draws` the one that is nearest comes out.
 
-    Recipes draw structures that are alike in all directions, and a scan need not be. With `stretch` and `turn`, those
+    Recipes draw isotropic structures, and a scan need not be isotropic. With `stretch` and `turn`, those
     that `measure.statistics` says, trials are stretched and turned by them, in a box as large as the scan whose
     sides do not meet. What comes out is the cell without both, which `warp.affine` stretches and turns.
 
