@@ -1,13 +1,14 @@
 """Results beside those of independent codes, number by number: a CSV file of raw values.
 
     python -m benchmarks.independent FILE.csv [VOXELS [CODE ...]]
+    python -m benchmarks.independent --page docs/explanation/flow.md FILE.csv
 
 The same images of whole voxels go to each code that is installed (`pip install muGrid scikit-fem porespy`): muGrid
 (FFT, stiffness), scikit-fem (an assembled matrix and a direct solver, stiffness and conductivity), CalculiX (`ccx`, the
 same bricks, stiffness), PoreSpy (porosity, local thickness of the void, pores and throats of a network; take 32
 voxels or more). Images are cells of the presets `paper` and `stiff`, VOXELS (16) along an edge. The largest differences
-are printed. `tests/features/flow/test_write_network.py` compares the flow of a network with OpenPNM where that is
-installed.
+are printed; with `--page` the rows of PoreSpy make a table of a page. `tests/features/flow/test_write_network.py`
+compares the flow of a network with OpenPNM where that is installed.
 """
 
 from __future__ import annotations
@@ -251,6 +252,24 @@ def rows(n: int, only: list[str]) -> Iterator[dict[str, Any]]:
                 }  # fmt: skip
 
 
+def write_page(page: Path, path: Path) -> None:
+    """Put the numbers of PoreSpy in a file between the marks of a page, ours first."""
+    lines: dict[str, str] = {}
+    with path.open(encoding="utf-8") as file:
+        found = [row for row in csv.DictReader(file) if row["code"] == "porespy"]
+    for row in found:
+        start = lines.get(row["cell"], f"| `{row['cell'].split()[0]}`, porosity {row['cell'].split()[1]} |")
+        lines[row["cell"]] = f"{start} {float(row['here']):.4g}, {float(row['there']):.4g} |"
+    names = list(dict.fromkeys(row["quantity"] for row in found))
+    head = [
+        f"| cell, {found[0]['voxels']} voxels along an edge | " + " | ".join(names) + " |",
+        "|---" * (len(names) + 1) + "|",
+    ]
+    text, mark = page.read_text(encoding="utf-8"), "<!-- benchmarks.independent -->\n"
+    before, _, after = text.split(mark)
+    page.write_text(before + mark + "\n".join([*head, *lines.values()]) + "\n" + mark + after, encoding="utf-8")
+
+
 def main(path: Path, n: int, only: list[str]) -> None:
     """Write the file, and print the largest difference of each code and kind of quantity."""
     largest: dict[tuple[str, str], float] = {}
@@ -270,4 +289,7 @@ def main(path: Path, n: int, only: list[str]) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[1] == "--page":
+        write_page(Path(sys.argv[2]), Path(sys.argv[3]))
+        sys.exit()
     main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 16, sys.argv[3:])

@@ -22,6 +22,10 @@ DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1),
 """The thirteen directions from a voxel to its neighbors."""
 
 
+TILE = 16
+"""Edge of the squares by which planes are transposed: a line of the cache has so many labels."""
+
+
 class Lines(NamedTuple):
     """Curves (m,) along an axis over distances 0, 1, 2 ... voxels, and chords (n + 1,)."""
 
@@ -34,11 +38,10 @@ class Lines(NamedTuple):
 def along_axis(labels: I32, axis: int, distances: int, wraps: bool) -> Lines:
     """Curves along an axis of a phase with labels (z, y, x), 0 outside; `wraps` says whether opposite sides meet."""
     rows = labels
-    if axis:  # plane by plane, as strides of a whole layer would miss the processor's cache
+    if axis:
         planes = labels if axis == 1 else np.moveaxis(labels, 1, 0)
         rows = np.empty((len(planes), planes.shape[2], planes.shape[1]), np.int32)
-        for plane, own in zip(planes, rows, strict=True):
-            own[:] = plane.T
+        _transpose(planes, rows)
     n = rows.shape[2]
     counts, chords = np.zeros((3, distances + 3)), np.zeros(n + 1)
     _count_lines(rows.reshape(-1, n), distances, wraps, counts, chords)
@@ -47,6 +50,18 @@ def along_axis(labels: I32, axis: int, distances: int, wraps: bool) -> Lines:
     places = rows.size / n * (np.full(distances + 1, float(n)) if wraps else n - np.arange(distances + 1.0))
     pairs, cluster, path = curves / np.maximum(places, 1)
     return Lines(pairs, cluster, path, chords)
+
+
+@jit
+def _transpose(planes: I32, rows: I32) -> None:
+    """Transpose each plane (m, n) into rows (n, m), by squares that fit the processor's cache."""
+    count, m, n = planes.shape
+    for k in range(count):
+        for j in range(0, m, TILE):
+            for i in range(0, n, TILE):
+                for b in range(i, min(i + TILE, n)):
+                    for a in range(j, min(j + TILE, m)):
+                        rows[k, b, a] = planes[k, a, b]
 
 
 @inline_jit
