@@ -219,9 +219,8 @@ def _paint(squared: I32, centers: I64, wraps: U8, painted: F32) -> None:
                 for part in range(2):
                     x, stop = ends[part, 0], ends[part, 1]
                     while x < stop:
-                        step = np.int64(done[z, y, x])
-                        if step == 0:
+                        known = np.int64(done[z, y, x])
+                        if known == 0:
                             painted[z, y, x] = diameter
-                            step = 1
-                        done[z, y, x] = min(max(np.int64(done[z, y, x]), stop - x), 65535)
-                        x += step
+                        done[z, y, x] = min(max(known, stop - x), 65535)
+                        x += max(known, 1)
