@@ -97,8 +97,8 @@ RECIPES: dict[str, tuple[Callable[[], Any], dict[str, tuple[float, float]]]] = {
         balls, {"sample.dart_throwing.total": (20.0, 200.0), "field.gaussian.pore_spread": (0.0, 0.4)},
     ),
     "": (plates, {
-        "sample.dart_throwing.total": (30.0, 500.0), "sample.dart_throwing.share": (0.1, 0.75),
-        "field.walls.tunnel_radius": (0.02, 0.15), "field.walls.struts": (0.0, 1.0),
+        "sample.dart_throwing.total": (15.0, 600.0), "sample.dart_throwing.share": (0.02, 0.8),
+        "field.walls.tunnel_radius": (0.02, 0.2), "field.walls.struts": (0.0, 1.0),
     }),
 }  # fmt: skip
 """Recipes and what is varied, by the scan; "" of all others."""
@@ -163,7 +163,7 @@ def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, 
     # the level that meets the porosity makes up for radii that are all larger: of pores and tunnels one is known
     twin = TuneMatch(
         vary=tuple(varied), low=tuple(a for a, _ in varied.values()), high=tuple(b for _, b in varied.values()),
-        starts=2 * evaluations // 5, evaluations=evaluations, draws=draws, resolution=n, **mapping,
+        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, **mapping,
     ).run(context, recipe(), scan)  # fmt: skip
     found = context.reported
     quantities = {
