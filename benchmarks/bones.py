@@ -1,6 +1,7 @@
 """Structures with the stiffness of measured bones, at their own density: distances, intervals, time.
 
-    python -m benchmarks.bones BONES.csv [--rows 8] [--first 0] [--every 6] [--further 8]
+    python -m benchmarks.bones BONES.csv [--rows 8] [--first 0] [--every 6] [--further 8] [--csv FOUND.csv]
+    python -m benchmarks.bones --page docs/howto/reach-a-stiffness-tensor.md --csv FOUND.csv [FOUND.csv ...]
 
 The CSV has a row for each sample, with the columns name, density, C11 ... C66 (the 21 constants over Young's modulus of
 the solid, Voigt order 11, 22, 33, 23, 13, 12) and twin_density, twin_C11 ... of a published twin, which is reported
@@ -27,9 +28,12 @@ import sppm_pipeline as sppm
 from sppm_pipeline.features.design.numerics.tensor_fit import stretch_of, turned
 from sppm_pipeline.services.elastic.voigt import isotropic, mandel, rotated
 
+Row = dict[str, str | float]
+
 UPPER = np.triu_indices(6)
 SEED = 1
 CHECKED = 72
+MARK = "<!-- benchmarks.bones -->"
 
 
 def matrix(row: dict[str, str], prefix: str = "") -> np.ndarray:
@@ -67,43 +71,98 @@ def designed(target: np.ndarray, porosity: float, args: argparse.Namespace) -> t
         return made, time.process_time() - started
 
 
-def of_a_cell(design: sppm.nouns.StiffnessDesign, target: np.ndarray, args: argparse.Namespace) -> str:
+def of_a_cell(design: sppm.nouns.StiffnessDesign, target: np.ndarray, args: argparse.Namespace) -> Row:
     """Distance of one cell of the design, its error bar, its porosity, and CPU seconds."""
     started = time.process_time()
     try:
         cell = sppm.tune.tensor(recipe="dialed", design=design, seed=SEED, resolution=args.resolution, max_distance=1.0)
     except sppm.SppmError as error:
-        return error.message
+        return {"refused": error.message}
     seconds = time.process_time() - started
     found = sppm.homogenize.voxel(cell, resolution=CHECKED, stretch=tuple(map(float, design.stretch)))
-    off = distance(rotated(found.stiffness, design.rotation), target)
-    bar = float(np.linalg.norm(mandel(found.error)) / np.linalg.norm(mandel(found.stiffness)))
-    return f"{off:.3f} ± {bar:.3f}, porosity {float(1 - cell.to_numpy(96).mean()):.4f}, {seconds:.0f} s"
+    return {
+        "cell": distance(rotated(found.stiffness, design.rotation), target),
+        "cell_bar": float(np.linalg.norm(mandel(found.error)) / np.linalg.norm(mandel(found.stiffness))),
+        "cell_porosity": float(1 - cell.to_numpy(96).mean()), "cell_seconds": seconds,
+    }  # fmt: skip
 
 
-def reported(name: str, target: np.ndarray, porosity: float, args: argparse.Namespace, more: str = "") -> float | None:
-    """Print a row of the table; the distance."""
+def measured(name: str, target: np.ndarray, porosity: float, args: argparse.Namespace, more: Row) -> Row:
+    """All numbers of a target."""
     made, seconds = designed(target, porosity, args)
+    row: Row = {"name": name, "porosity": porosity, "design_seconds": seconds, **more}
     if isinstance(made, sppm.SppmError):
-        print(f"| {name} | {porosity:.4f} | refused: {made.message} | {more} | {seconds:.0f} |", flush=True)
-        return None
+        return {**row, "refused": made.message}
+    row |= {"design": made.distance, "floor": made.floor, "struts": made.options[0][1]}
+    row |= {f"stretch_{axis}": float(s) for axis, s in zip("xyz", made.stretch, strict=True)}
     inside = []
     for draw in range(args.further):
         c = cell_stiffness(made.options[0][1], porosity, made.stretch, 1000 + draw, args.resolution)
         inside.append(np.abs(rotated(c, made.rotation) - made.stiffness)[UPPER] <= made.draw_error[UPPER])
-    share = f"{np.mean(inside):.3f}" if inside else "-"
-    more = f"{more} | {of_a_cell(made, target, args)}" if args.cells else more
-    print(
-        f"| {name} | {porosity:.4f} | {made.distance:.3f} (floor {made.floor:.3f}) | struts {made.options[0][1]:.2f}, "
-        f"stretch {', '.join(f'{s:.2f}' for s in made.stretch)} | {share} | {more} | {seconds:.0f} |", flush=True,
-    )  # fmt: skip
-    return made.distance
+    if inside:
+        row["inside"] = float(np.mean(inside))
+    return {**row, **of_a_cell(made, target, args)} if args.cells else row
+
+
+COLUMNS = (
+    "name", "porosity", "made_with", "design", "floor", "struts", "stretch_x", "stretch_y", "stretch_z",
+    "design_seconds", "inside", "cell", "cell_bar", "cell_porosity", "cell_seconds", "twin", "twin_density", "refused",
+)  # fmt: skip
+
+
+def added(path: Path, row: Row) -> None:
+    """Append a row to the CSV file, which begins with the names of the columns."""
+    new = not path.exists()
+    with path.open("a", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        if new:
+            writer.writeheader()
+        writer.writerow({key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()})
+    print(", ".join(f"{key} {value:.3g}" if isinstance(value, float) else str(value) for key, value in row.items()))
+
+
+def words_of(paths: list[Path]) -> str:
+    """The table of the page, sorted by density, and the sentence below it."""
+    rows = [row for path in paths for row in csv.DictReader(path.open(encoding="utf-8")) if row["twin"]]
+    rows.sort(key=lambda row: -float(row["porosity"]))
+    found = [
+        "| density | design | floor | CPU-s | cell | CPU-s | distance of the twin, at its density |",
+        "|---" * 7 + "|",
+    ]
+    found += [
+        f"| {1 - float(r['porosity']):.3f} | {float(r['design']):.3f} | {float(r['floor']):.3f} "
+        f"| {float(r['design_seconds']):.0f} | {float(r['cell']):.3f} ± {float(r['cell_bar']):.3f} "
+        f"| {float(r['cell_seconds']):.0f} | {float(r['twin']):.3f} at {float(r['twin_density']):.3f} |" for r in rows
+    ]  # fmt: skip
+    of = {key: np.array([float(row[key]) for row in rows]) for key in ("design", "cell", "twin", "cell_seconds")}
+    words = [f"{len(rows)} samples"]
+    words += [
+        f"{name}: median {np.median(of[key]):.3f}, worst {of[key].max():.3f}"
+        for name, key in (("designs", "design"), ("cells", "cell"), ("published twins", "twin"))
+    ]
+    heavier = np.median([float(r["twin_density"]) / (1 - float(r["porosity"])) for r in rows])
+    off = np.abs([float(r["cell_porosity"]) - float(r["porosity"]) for r in rows])
+    words[-1] += (
+        f". Cells differ from the density of their sample by at most {100 * off.max():.2f} % of the volume; twins are "
+        f"{heavier:.2f} times as dense in the median. A cell takes {np.median(of['cell_seconds']):.0f} CPU-s in the "
+        f"median and {of['cell_seconds'].max():.0f} at most."
+    )
+    found += ["", "; ".join(words)]
+    return "\n".join(found)
+
+
+def written(page: Path, words: str) -> None:
+    """Put the table between the marks of a page."""
+    before, _, after = page.read_text(encoding="utf-8").split(MARK)
+    page.write_text(f"{before}{MARK}\n{words}\n{MARK}{after}", encoding="utf-8")
 
 
 def main() -> None:
     """Design for each row, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, nargs="?")
+    parser.add_argument("--csv", type=Path, nargs="*", default=[Path("bones-found.csv")])
+    parser.add_argument("--page", type=Path)
     parser.add_argument("--rows", type=int, default=8)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--every", type=int, default=6)
@@ -115,30 +174,29 @@ def main() -> None:
     parser.add_argument("--reachable", type=int, default=0)
     parser.add_argument("--unreachable", type=int, default=0)
     args = parser.parse_args()
+    if args.page:
+        written(args.page, words_of(args.csv))
+        return
     warnings.simplefilter("ignore")
     rng = np.random.default_rng(7)
-    found = []
     for number in range(args.reachable):
         struts, porosity, logs = rng.uniform(0, 0.8), rng.uniform(0.6, 0.8), rng.uniform(0, np.log(2.5), 2)
         cells = [
             cell_stiffness(struts, porosity, stretch_of(logs), 500 + d, args.resolution) for d in range(args.draws)
         ]
         target = rotated(np.mean(cells, 0), turned(rng.normal(size=3)))
-        found.append(reported(f"member {number}", target, porosity, args, f"made with struts {struts:.2f}"))
+        added(args.csv[0], measured(f"member {number}", target, porosity, args, {"made_with": struts}))
     for number in range(args.unreachable):
         # as stiff as twice the bound of Hashin and Shtrikman, or far more auxetic than any member
         porosity = rng.uniform(0.6, 0.8)
         target = isotropic(2 * (1 - porosity), 0.25) if number % 2 else isotropic(0.2 * (1 - porosity), -0.4)
-        found.append(reported(f"beyond {number}", rotated(target, np.eye(3)), porosity, args))
+        added(args.csv[0], measured(f"beyond {number}", target, porosity, args, {}))
     if args.table:
         rows = list(csv.DictReader(args.table.open(encoding="utf-8")))[args.first :: args.every][: args.rows]
         for row in rows:
             target = matrix(row)
-            twin = f"{distance(matrix(row, 'twin_'), target):.3f} at density {float(row['twin_density']):.3f}"
-            found.append(reported(row["name"], target, 1 - float(row["density"]), args, twin))
-    kept = [value for value in found if value is not None]
-    if kept:
-        print(f"median {np.median(kept):.3f}, worst {max(kept):.3f} of {len(kept)}; {len(found) - len(kept)} refused")
+            twin: Row = {"twin": distance(matrix(row, "twin_"), target), "twin_density": float(row["twin_density"])}
+            added(args.csv[0], measured(row["name"], target, 1 - float(row["density"]), args, twin))
 
 
 if __name__ == "__main__":
