@@ -81,6 +81,7 @@ class TuneTensor(Stage):
     """
 
     name: ClassVar[str] = "tune.tensor"
+    version: ClassVar[int] = 2
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("distance", "distance to the target", error="grid_error"), Headline("distance_before", "before"),
         Headline("variation", "variation of the level"), Headline("porosity"),
@@ -163,7 +164,7 @@ class TuneTensor(Stage):
         stiffness = self.young * best.report.stiffness
         context.report(
             distance=best.distance, distance_before=search.first, grid_error=bar,
-            variation=search.variation(best.state), porosity=1 - best.state.solid, draw=draw,
+            variation=search.variation(best.state), porosity=1 - search.counted(best.field), draw=draw,
             homogenizations=solved, stiffness=rotated(stiffness, design.rotation) if design else stiffness,
         )  # fmt: skip
         return best.field
@@ -171,8 +172,8 @@ class TuneTensor(Stage):
     def _measured(
         self, context: Context, design: StiffnessDesign | None, found: State, search: Search, draw: int
     ) -> Measured:
-        """A result on the finer grid."""
-        made = replace(found.field, base=cast(_KeptField, found.field.base).base)
+        """A result on the finer grid, at the porosity that is kept as samples have it."""
+        made = search.cut(replace(found.field, base=cast(_KeptField, found.field.base).base))
         report = self._solver(design, round(FINER * self.resolution)).stiffness_of(cast(Context, Quiet(context)), made)
         return Measured(draw, found, made, report, float(np.linalg.norm(search.off(report.stiffness)[0])))
 
@@ -220,7 +221,7 @@ class State(NamedTuple):
 
     field: WavedField
     dials: F64
-    solid: float  # its share, as partial voxels have it
+    solid: float  # its share, as partial voxels of this grid have it where the porosity is right
     solved: tuple[Solved, ...]  # by `POWERS`
     stiffness: F64  # (6, 6)
     off: F64  # difference to the target over its norm, (36,)
@@ -264,16 +265,16 @@ class Search:
         field = self._plain(dials)
         if design is not None:
             self._porosity = design.porosity
-            field = self._cut(field)
-        solid = float(self._sampled(field, self._solver).mean(dtype=np.float64))
+            field = self.cut(field)
+        solid = self._share(field)
         if not 0 < solid < 1:
             raise DesignError("the cell is empty or full: it has no structure to change", hint="change the porosity")
-        self._porosity = 1 - solid if design is None else design.porosity
+        self._porosity = 1 - self.counted(field)
         step = 1e-3 * float(np.ptp(field.sample(self._solver.resolution, self._context.threads)))
         high, low = (float(self._sampled(field.cut_at(sign * step), self._solver).mean()) for sign in (1, -1))
         # the level that would remove the solid if its surface stayed as large
         self._unit = solid * 2 * step / max(high - low, 1e-9)
-        state = self._state(field, dials)
+        state = self._state(field, dials, solid)
         if not state.solved[0].stiffness.any():
             raise DesignError("the cell is empty: it has no stiffness", hint="lower the porosity")
         self.first = state.distance
@@ -286,7 +287,8 @@ class Search:
             width = STEP * (self._high[k] - self._low[k])
             there = state.dials.copy()
             there[k] += width if value + width <= self._high[k] else -width
-            columns.append((self._state(self._cut(self._plain(there)), there).off - state.off) / (there[k] - value))
+            cell = self.cut(self._plain(there))
+            columns.append((self._state(cell, there, self._share(cell)).off - state.off) / (there[k] - value))
         self._turned = np.array(columns).reshape(-1, 36).T
 
     def _plain(self, dials: F64) -> WavedField:
@@ -343,33 +345,38 @@ class Search:
         field = replace(
             self._plain(dials) if changed else state.field, amplitudes=state.field.amplitudes + step[:count]
         )
-        return self._state(self._cut(field) if changed else field, dials)
+        if not changed:
+            return self._state(field, dials, state.solid)
+        field = self.cut(field)
+        return self._state(field, dials, self._share(field))
 
-    def _cut(self, field: WavedField) -> WavedField:
+    def _dense(self, field: ScalarField) -> F32:
+        return field.sample(cell_centers(2 * self._solver.resolution, field.cells), self._context.threads)
+
+    def counted(self, field: ScalarField) -> float:
+        """The share of the solid, counted on a grid twice as fine as that of the search."""
+        return float((self._dense(field) < 0).mean())
+
+    def _share(self, field: ScalarField) -> float:
+        """The share of the solid as partial voxels of the search have it: off by some tenths of a percent."""
+        return float(self._sampled(field, self._solver).mean(dtype=np.float64))
+
+    def cut(self, field: WavedField) -> WavedField:
         """The field at the porosity that is kept, as samples have it."""
-        samples = field.sample(cell_centers(2 * self._solver.resolution, field.cells), self._context.threads)
-        return field.cut_at(cut_for_porosity(samples, self._porosity).level)
+        return field.cut_at(cut_for_porosity(self._dense(field), self._porosity).level)
 
-    def _state(self, field: WavedField, dials: F64) -> State:
-        """The cell at the porosity that is kept, and its stiffness on two grids, extrapolated."""
+    def _state(self, field: WavedField, dials: F64, solid: float) -> State:
+        """The cell at the share of solid that is kept, and its stiffness on two grids, extrapolated."""
         fine = self._solver.sampled(field, self._context.threads)
         for _ in range(LEVELINGS):
-            missing = 1 - self._porosity - float(cast(F32, fine.fraction).mean(dtype=np.float64))
-            field = field.cut_at(missing / (1 - self._porosity) * self._unit)
+            missing = solid - float(cast(F32, fine.fraction).mean(dtype=np.float64))
+            field = field.cut_at(missing / solid * self._unit)
             fine = self._solver.sampled(field, self._context.threads)
         coarse = self._coarse.sampled(field, self._context.threads)
         solved = [self._homogenized(coarse if k else fine, power) for k, power in enumerate(POWERS)]
         self.solved += 1
         limit = np.tensordot(self._weights, [one.stiffness for one in solved], 1)
-        assert fine.fraction is not None
-        return State(
-            field,
-            dials,
-            float(fine.fraction.mean(dtype=np.float64)),
-            tuple(solved),
-            limit,
-            *self.off(limit + self._shift),
-        )
+        return State(field, dials, solid, tuple(solved), limit, *self.off(limit + self._shift))
 
     def _homogenized(self, cell: VoxelCell, power: float) -> Solved:
         """The stiffness of a cell whose voxels have a power of their solid fraction, and how it changes."""
