@@ -77,6 +77,9 @@ def _blocks(known: Mapping[str, Any], date: str) -> dict[str, str]:
         "doi": f'PAPER_DOI = "{doi}"\n',
         "about": f"  repository: {repository}\n" if repository else "",
         "authors": _authors(known["authors"]),
+        "disclosure": known["disclosure"].strip() + "\n"
+        if known["disclosure"]
+        else "To be stated by the authors: the variable `disclosure` of `.ci/project.toml`.\n",
     }
 
 
