@@ -44,6 +44,8 @@ class StiffnessDesign(Report):
     draws : int
     edge_mm : float or None
         Size of the cell at which struts have at least the mean thickness asked for; None if none was.
+    young, poisson : float
+        Young's modulus of the solid, in the unit of the stiffness, and its Poisson's ratio.
     """
 
     headline: ClassVar[tuple[str, ...]] = ("distance", "stretch", "porosity", "draws")
@@ -62,6 +64,8 @@ class StiffnessDesign(Report):
     grid_error: float = field(metadata=number())
     draws: int = field(metadata=number())
     edge_mm: float | None = field(default=None, metadata=number(label="cell", unit="mm"))
+    young: float = field(default=1.0, metadata=number())
+    poisson: float = field(default=0.3, metadata=number())
 
     def __post_init__(self) -> None:
         for name in ("stretch", "rotation", "stiffness", "target", "mean_error", "draw_error"):

@@ -39,13 +39,13 @@ def field():
     return thick().run(PlainContext(3))
 
 
-def wanted(target, options=(), rotation=None, stretch=(1.0, 1.0, 1.0), porosity=0.5, recipe="thick"):
+def wanted(target, options=(), rotation=None, stretch=(1.0, 1.0, 1.0), porosity=0.5, recipe="thick", **solid):
     zero = np.zeros((6, 6))
     return StiffnessDesign(
         recipe=recipe, options=options, porosity=porosity, stretch=np.array(stretch),
         rotation=np.eye(3) if rotation is None else rotation,
         stiffness=target, target=target, mean_error=zero, draw_error=zero, distance=0.0, floor=0.0, grid_error=0.0,
-        draws=3,
+        draws=3, **solid,
     )  # fmt: skip
 
 
@@ -145,6 +145,13 @@ def test_a_cell_becomes_isotropic_at_the_same_porosity():
     np.testing.assert_allclose(np.array(told["stiffness"]), measured, rtol=1e-3, atol=1e-4)
 
 
+def test_the_solid_is_that_of_the_design_unless_it_is_given():
+    design = wanted(np.eye(6), young=100.0, poisson=0.35)
+    assert TuneTensor()._solid(design) == (100.0, 0.35)
+    assert TuneTensor(young=7.0, poisson=0.0)._solid(design) == (7.0, 0.0)
+    assert TuneTensor()._solid(None) == (1.0, 0.3)
+
+
 def test_a_cell_meets_the_tensor_of_another_draw_stretched_and_turned():
     """A target with no symmetry at all, which the mean of draws does not have."""
     turn = np.array([[math.cos(0.4), -math.sin(0.4), 0], [math.sin(0.4), math.cos(0.4), 0], [0, 0, 1]])
@@ -153,8 +160,8 @@ def test_a_cell_meets_the_tensor_of_another_draw_stretched_and_turned():
     porosity = float(np.mean(cell.sample(64) >= 0))
     target = rotated(HomogenizeVoxel(resolution=36, stretch=stretch).run(PlainContext(1), cell).stiffness, turn)
     context = PlainContext(3)
-    stage = TuneTensor(**(QUICK | {"young": 100.0, "evaluations": 9}))
-    made = stage.run(context, thick(), wanted(100 * target, (), turn, stretch, porosity))
+    stage = TuneTensor(**(QUICK | {"evaluations": 9}))
+    made = stage.run(context, thick(), wanted(100 * target, (), turn, stretch, porosity, young=100.0))
     told = context.reported
     assert told["distance"] < 0.5 * told["distance_before"]
     assert told["distance"] < 0.06

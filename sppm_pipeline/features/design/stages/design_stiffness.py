@@ -286,6 +286,7 @@ class DesignStiffness(Stage):
             rotation=near.rotation, stiffness=y * rotated(orthotropic(draws.mean(0)), near.rotation), target=y * target,
             mean_error=y * of_mean, draw_error=y * of_draw, distance=near.distance, floor=floor, grid_error=bar,
             draws=len(draws), edge_mm=self.min_strut.mm() / (strut * near.stretch.min()) if self.min_strut else None,
+            young=y, poisson=self.poisson,
         )  # fmt: skip
 
     def _unreachable(self, near: Design, fit: Fit) -> DesignError:

@@ -93,9 +93,12 @@ class TuneTensor(Stage):
     advice: ClassVar[str] = "lower `resolution`"
     returns: ClassVar[type] = ScalarField
 
-    young: float = options.young(1.0, note="of the solid, in the unit of the target", above=None, minimum=1e-9,
-                                 maximum=1e9)  # fmt: skip
-    poisson: float = options.poisson(0.3, note="of the solid", above=None, below=None, minimum=-0.9, maximum=0.49)
+    young: float | None = options.young(None, note="of the solid; that of the design if omitted, else 1", above=None,
+                                        minimum=1e-9, maximum=1e9)  # fmt: skip
+    poisson: float | None = options.poisson(
+        None, note="of the solid; that of the design if omitted, else 0.3", above=None, below=None, minimum=-0.9,
+        maximum=0.49,
+    )  # fmt: skip
     low: tuple[float, ...] = option((0.0,), help=f"{LOW}; of each dial", minimum=-1e15, maximum=1e15)
     high: tuple[float, ...] = option((0.9,), help=f"{HIGH}; of each dial", minimum=-1e15, maximum=1e15)
     periods: int = option(3, help="waves along an edge of the cell at most", minimum=1, maximum=4)
@@ -116,18 +119,28 @@ class TuneTensor(Stage):
         searched: Size = self._solver(None, self.resolution).solving(made, 12 + FINER**3)
         return replace(searched, result=made)
 
+    def _solid(self, design: StiffnessDesign | None) -> tuple[float, float]:
+        """Young's modulus and Poisson's ratio of the solid."""
+        young, poisson = (1.0, 0.3) if design is None else (design.young, design.poisson)
+        return self.young or young, poisson if self.poisson is None else self.poisson
+
     def _solver(self, design: StiffnessDesign | None, resolution: int) -> HomogenizeVoxel:
         stretch = None if design is None else cast(tuple[float, float, float], tuple(map(float, design.stretch)))
         return HomogenizeVoxel(
-            resolution=resolution, poisson=self.poisson, stretch=stretch, solver_tolerance=1e-3, iterations=3000
+            resolution=resolution,
+            poisson=self._solid(design)[1],
+            stretch=stretch,
+            solver_tolerance=1e-3,
+            iterations=3000,
         )
 
     def run(self, context: Context, recipe: Recipe, design: StiffnessDesign | None = None) -> ScalarField:
         """Draw, search, measure on a finer grid."""
-        target = None if design is None else rotated(design.target / self.young, design.rotation.T)
+        young, poisson = self._solid(design)
+        target = None if design is None else rotated(design.target / young, design.rotation.T)
         solver = self._solver(design, self.resolution)
         searches = [
-            Search(self, solver, self._cells(context, recipe, design, draw), target, context)
+            Search(self, solver, self._cells(context, recipe, design, draw), target, poisson, context)
             for draw in range(self.trials)
         ]
         started = [search.start(design) for search in searches]
@@ -161,7 +174,7 @@ class TuneTensor(Stage):
                 f"more than `accuracy: {self.accuracy:g}`: raise `evaluations`, `periods` or `resolution`"
             )
         bar = float(np.linalg.norm(mandel(cast(F64, best.report.error)))) / best.state.norm
-        stiffness = self.young * best.report.stiffness
+        stiffness = young * best.report.stiffness
         context.report(
             distance=best.distance, distance_before=search.first, grid_error=bar,
             variation=search.variation(best.state), porosity=1 - search.counted(best.field), draw=draw,
@@ -248,13 +261,13 @@ class Search:
 
     def __init__(
         self, stage: TuneTensor, solver: HomogenizeVoxel, cells: Callable[[Sequence[float]], ScalarField],
-        target: F64 | None, context: Context,
+        target: F64 | None, poisson: float, context: Context,
     ) -> None:  # fmt: skip
         self.solved, self.first = 0, 0.0
         self._solver, self._coarse = solver, replace(solver, resolution=solver.resolution // 2)
         self._cells, self._order, self._target, self._context = cells, stage.periods, target, context
         self._low, self._high = np.array(stage.low), np.array(stage.high)
-        self._base, (self._weights, _) = isotropic(1.0, stage.poisson), power_weights(2.0)
+        self._base, (self._weights, _) = isotropic(1.0, poisson), power_weights(2.0)
         self._porosity = self._unit = 0.0
         self._turned: F64 | None = None
         self._shift = np.zeros((6, 6))
