@@ -117,7 +117,7 @@ def test_slopes_of_the_search_are_those_of_differences(field):
     stage = TuneTensor(**QUICK)
     solver = HomogenizeVoxel(resolution=24, stretch=(0.9, 1.0, 1.2), solver_tolerance=1e-4)
     target = isotropic(0.2, 0.25)
-    search = Search(stage, solver, lambda dials: field, target, PlainContext(1))
+    search = Search(stage, solver, lambda dials: field, target, 0.3, PlainContext(1))
     state = search.start(wanted(target))
     search._prepare(state)
     slopes = search._slopes(state)
