@@ -10,15 +10,16 @@ middle 72 voxels along each edge are taken; the cell of the twin has 48. Each ha
 of the structure of ours, for which "own" stands, the number of pores alone is varied, and again with the radius of the
 tunnels. Of each match the nearest of DRAWS structures is taken, and all is done SEEDS times with other random numbers:
 `difference` is the mean, `error` the standard deviation. `wanted` is the goal of the row. Stiffness and permeability
-are not matched. Beside the CSV file, a PNG file has the middle of each scan made here on the left, of its twin on the
-right. With `--page` the table of a page is made of such files.
+are not matched. With `--others` other draws of the foam are compared with it instead; with `--tensor` the twins of a
+file go on to `tune.tensor`. Beside the CSV file, a PNG file has the middle of each scan made here on the left, of its
+twin on the right. With `--page` the table of a page is made of such files.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -166,12 +167,7 @@ def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, 
         starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, **mapping,
     ).run(context, recipe(), scan)  # fmt: skip
     found = context.reported
-    quantities = {
-        "porosity": found["porosity"],
-        "S2": found["S2"],
-        **{f"{kind}, {phase}": found[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")},
-        **{kind: found["held_out"][kind] for kind in ("permeability", "stiffness")},
-    }
+    quantities = quantities_of(found) | {kind: found["held_out"][kind] for kind in ("permeability", "stiffness")}
     for option, value in zip(varied, found["values"], strict=True):
         truth = OWN.get(option) if name.startswith("own") else None
         quantities[option] = value if truth is None else value / truth - 1
@@ -193,12 +189,46 @@ def rows(
 ) -> tuple[ScalarField, list[dict[str, Any]]]:
     """A twin, and a row for each number."""
     found = [matched(name, scan, n, draws, evaluations, seed) for seed in range(1, seeds + 1)]
+    return found[0][0], rows_of(name, [one[1] for one in found])
+
+
+def rows_of(name: str, found: list[dict[str, float]]) -> list[dict[str, Any]]:
+    """A row for each quantity, with the mean and standard deviation over what was found."""
     made = []
-    for quantity in found[0][1]:
-        values = np.array([one[1][quantity] for one in found], float)
-        value, error = float(values.mean()), float(values.std(ddof=1)) if seeds > 1 else ""
-        made.append(row(name, quantity, value, error))
-    return found[0][0], made
+    for quantity in found[0]:
+        values = np.array([one[quantity] for one in found], float)
+        error = float(values.std(ddof=1)) if len(found) > 1 else ""
+        made.append(row(name, quantity, float(values.mean()), error))
+    return made
+
+
+def other_foams(n: int, count: int) -> list[dict[str, Any]]:
+    """What other draws of the same foam differ by from the one that is the scan, at its porosity."""
+
+    def seen(seed: int) -> tuple[Look, dict[str, float]]:
+        gray = foam(n, seed)
+        values = np.asfortranarray(np.float32(np.quantile(gray, level)) - gray)
+        look = Look.at(values < 0, True, n // 4)
+        field = ImageField.through(values, (1 / n,) * 3, physical=True, periodic=True)
+        return look, properties_of(silent, field, n)
+
+    silent: Any = Quiet(PlainContext(1))
+    level = float((foam(n) < 0.5).mean())
+    own, numbers = seen(3)
+    found = []
+    for seed in range(4, 4 + count):
+        look, other = seen(seed)
+        kinds = {key: other[key] / numbers[key] - 1 for key in ("permeability", "stiffness")}
+        found.append(quantities_of(differences(own, look)) | kinds)
+    return rows_of("another foam of such balls", found)
+
+
+def quantities_of(off: Mapping[str, Any]) -> dict[str, float]:
+    """Differences of statistics by the names of rows."""
+    parts = {
+        f"{kind}, {phase}": off[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")
+    }  # fmt: skip
+    return {"porosity": off["porosity"], "S2": off["S2"], **parts}
 
 
 def with_tensor(name: str, scan: ScalarField, n: int, found: dict[str, float]) -> list[dict[str, Any]]:
@@ -219,19 +249,13 @@ def with_tensor(name: str, scan: ScalarField, n: int, found: dict[str, float]) -
         draws=1,
     )  # fmt: skip
     recipe = plates(**{option.rpartition(".")[2]: value for option, value in found.items()})
-    twin = TuneTensor(trials=1, resolution=40, max_distance=1.0).run(silent, recipe, design)
+    twin = TuneTensor(trials=1, resolution=32, max_distance=1.0).run(context, recipe, design)
     values = stretched(twin.sample(2 * N), 2, matrix, solid.shape)
     values -= np.float32(cut_for_porosity(values, 1 - target.share).level)
     off = differences(target, Look.at(values < 0, False, n // 4))
     box = ImageField.through(values, (1 / N,) * 3, physical=True, periodic=False)
     k = [properties_of(silent, one, n)["permeability"] for one in (scan, box)]
-    quantities = {
-        "porosity": off["porosity"],
-        "S2": off["S2"],
-        **{f"{kind}, {phase}": off[kind][phase] for kind in ("chords", "thickness") for phase in ("solid", "void")},
-        "permeability": k[1] / k[0] - 1,
-        "stiffness": context.reported["distance"],
-    }
+    quantities = quantities_of(off) | {"permeability": k[1] / k[0] - 1, "stiffness": context.reported["distance"]}
     return [row(f"{name}, tune.tensor", quantity, value, "") for quantity, value in quantities.items()]
 
 
@@ -281,24 +305,27 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=60)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--tensor", type=Path, help="a file whose twins go on to `tune.tensor`, by the options in it")
+    parser.add_argument("--others", type=int, default=0, help="other draws of the foam, compared with it, no twins")
     parser.add_argument("--page", type=Path, help="a page whose table is made of the files instead")
-    parser.add_argument("--only", help="part of the names of the scans that are taken")
+    parser.add_argument("--only", help="a scan, or part of the names of those that are taken")
     args = parser.parse_args()
     if args.page:
         write_page(args.page, [args.file, *map(Path, args.scans)])
         return
     with args.file.open("w", newline="", encoding="utf-8") as file:
         writer = None
-        for name, n, scan in scans(args.scans):
-            if args.only and args.only not in name:
-                continue
-            if args.tensor:
+        given = scans(args.scans)
+        named = [one for one in given if one[0] == args.only] or [one for one in given if (args.only or "") in one[0]]
+        for name, n, scan in named:
+            if args.others:
+                found = other_foams(n, args.others)
+            elif args.tensor:
                 with args.tensor.open(encoding="utf-8") as earlier:
-                    given = [one for one in csv.DictReader(earlier) if one["scan"] == name and not one["wanted"]]
-                found = with_tensor(name, scan, n, {one["quantity"]: float(one["difference"]) for one in given})
+                    lines = [one for one in csv.DictReader(earlier) if one["scan"] == name and not one["wanted"]]
+                found = with_tensor(name, scan, n, {one["quantity"]: float(one["difference"]) for one in lines})
             else:
                 twin, found = rows(name, scan, n, args.draws, args.evaluations, args.seeds)
-            if name.startswith(("own", "foam")) and not args.tensor:
+            if name.startswith(("own", "foam")) and not args.tensor and not args.others:
                 draw(scan, twin, args.file.with_name(f"{args.file.stem}-{name.split(',')[0].split()[0]}.png"))
             for one in found:
                 writer = writer or csv.DictWriter(file, list(one))
