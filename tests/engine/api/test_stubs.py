@@ -2,6 +2,7 @@
 
 import inspect
 import pydoc
+import re
 import shutil
 import subprocess
 import sys
@@ -101,8 +102,8 @@ def test_help_lists_options_with_unit_bounds_and_default():
     assert "level : a number, at least 0.001, at most 0.999; default 0.25" in text
     assert "pore_radius : a length in cell size" in text
     listed = pydoc.plain(pydoc.render_doc(sppm.fix))
-    assert "drains(*artifacts" in listed
-    assert "fill(*artifacts" in listed
+    for name in ("drains", "fill"):
+        assert re.search(rf"{name}\(\s*\*artifacts", listed)  # from Python 3.13 on, long lines are broken
 
 
 @pytest.mark.parametrize(
