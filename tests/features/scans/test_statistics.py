@@ -8,6 +8,7 @@ import pytest
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.scans.numerics import statistics as st
 from sppm_pipeline.features.scans.numerics.describing import balls_of, curves_of, entry_of
+from sppm_pipeline.features.scans.numerics.stretching import stretch_of
 from sppm_pipeline.features.scans.stages.measure_statistics import MeasureStatistics
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.numerics import find_components, paint_runs
@@ -121,6 +122,10 @@ def test_fabric_of_a_stretched_structure():
     lamellae = np.zeros((8, 8, 8), bool)
     lamellae[:4] = True
     assert np.isnan(st.fabric(st.configurations(lamellae, True), (1.0,) * 3)[0]).all()
+    # so that nothing says how it is stretched
+    found = MeasureStatistics().run(PlainContext(), Voxels.from_array(lamellae.repeat(2, 1).repeat(2, 2).repeat(2, 0)))
+    assert np.isnan(found.stretch).all()
+    assert np.isnan(stretch_of(np.array([np.inf, 2.0, 1.0]), np.eye(3))[0]).any()
 
 
 def test_overlapping_balls_have_the_curves_of_the_closed_form():

@@ -14,6 +14,7 @@ def stretch_of(lengths: F64, axes: F64) -> tuple[F64, F64]:
 
     An isotropic structure that is stretched and turned so has mean intercept `lengths` (3,) along `axes`, one a row:
     what a line meets stays the same when both are stretched. Of all ways to number the axes the one that turns least.
+    Stretches are NaN where a length is not finite.
     """
     from scipy.spatial.transform import Rotation
 
@@ -21,7 +22,8 @@ def stretch_of(lengths: F64, axes: F64) -> tuple[F64, F64]:
     rotation = axes[list(order)].T * np.where(axes[list(order)].diagonal() < 0, -1.0, 1.0)
     if np.linalg.det(rotation) < 0:
         rotation[:, np.abs(rotation.diagonal()).argmin()] *= -1
-    found = lengths[list(order)] / np.cbrt(lengths.prod())
+    with np.errstate(invalid="ignore"):  # no direction of an ellipsoid that is open
+        found = lengths[list(order)] / np.cbrt(lengths.prod())
     return found, np.asarray(Rotation.from_matrix(rotation).as_euler("xyz", degrees=True))
 
 

@@ -35,6 +35,7 @@ class MeasureStatistics(Stage):
     """
 
     name: ClassVar[str] = "measure.statistics"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("porosity", error="porosity_error"), Headline("surface", "surface", "1/{unit}", "surface_error"),

@@ -62,6 +62,7 @@ class TuneMatch(Stage):
     """
 
     name: ClassVar[str] = "tune.match"
+    version: ClassVar[int] = 2
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("distance"), Headline("values"), Headline("S2"), Headline("chords.solid"), Headline("thickness.solid"),
         Headline("held_out.stiffness", "stiffness, not matched"), Headline("held_out.permeability", "k, not matched"),
