@@ -329,6 +329,17 @@ def field_body(field: ScalarField, per_cell: int, threads: int, *, binary: bool)
     if binary:
         grid = in_cells(Grid((0.5,) * 3, (1.0,) * 3, (nx, ny, nz)))
         share = field.solid_zyx(grid, 0, nz, threads).astype(np.float32)
+    elif isinstance(field, Part):
+        share = np.empty((nz, ny, nx), np.float32)
+        half = in_cells(Grid((-0.25,) * 3, (0.5,) * 3, (2 * nx + 2, 2 * ny + 2, 2 * nz + 2)))
+        for k in range(0, nz, SLAB):
+            layers = share[k : k + SLAB]
+            inner, skin, outer = (
+                one if one is None else solid_fractions(lambda *_, one=one: one, layers.shape[::-1], 1)  # type: ignore[misc]
+                for one in field.fields_zyx(half, threads, 2 * k, 2 * (k + len(layers) + 1))
+            )
+            # one field of all would have kinks where they meet, next to which slopes say nothing of the surface
+            layers[:] = outer * (inner if skin is None else 1 - (1 - inner) * (1 - skin))
     else:
         share = solid_fractions(
             lambda grid, first, stop: field.sample_zyx(in_cells(grid), first, stop, threads), (nx, ny, nz), 1
