@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, cast
@@ -79,11 +80,21 @@ class LoadedPart(Stage):
         if not self.density[0] < self.density[1]:
             raise ConfigError(f"`density` should rise, from {self.density[0]:g} to {self.density[1]:g}")
 
-    def law_size(self, recipe: RecipeSize) -> Size:
-        """Cells of the law, homogenized."""
+    def solving(self, recipe: RecipeSize, part: Size | None, solves: float) -> Size:
+        """Cells of the law, homogenized, and the elements of a part (voxels), solved so many times."""
         cells = TRIED * self.trials
         solver: Any = stage_class("homogenize.voxel")(resolution=self.law_resolution)
-        return cast(Size, solver.solving(recipe(Palette(), cells), cells))
+        cell = recipe(Palette(), cells)
+        law, body = solver.solving(cell, cells), part.geometry if part is not None else None
+        count = 0.0
+        if body is not None:
+            mm = cell.cell.edge_mm or 1.0 if self.cell is None else self.cell.mm()
+            count = math.prod(max(1.0, body.scale * side / self._edge(body.scale * max(body.box), mm)) for side in body.box)
+        return Size(samples=law.samples, voxels=solves * count, resident=law.resident, nodes=count)
+
+    def _edge(self, longest: float, cell: float) -> float:
+        """Edge of the elements, mm."""
+        return max(cell / 2, longest / MAX_ELEMENTS) if self.element is None else self.element.mm()
 
     def law_of(self, context: Context, recipe: Recipe, *, strength: bool = False) -> tuple[DensityLaw, float]:
         """The law of a recipe, MPa, with `strength` also that of its onset of yield; the edge of its cell, mm."""
@@ -128,7 +139,7 @@ class LoadedPart(Stage):
     def elements_of(self, part: SurfaceMesh, cell: float) -> SharedBody:
         """The elements of a homogenized part."""
         longest = float((part.upper - part.lower).max())
-        edge = max(cell / 2, longest / MAX_ELEMENTS) if self.element is None else self.element.mm()
+        edge = self._edge(longest, cell)
         shared = mesh_body(part, edge)
         if not shared.body.solid.any():
             raise DesignError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -61,7 +62,10 @@ class AddLoadCase(Stage):
         return (*held, *(condition_of(kind, text, part, near) for kind, texts in kinds.items() for text in texts))
 
     def estimate(self, palette: Palette, part: Size, cases: Size | None, near: Size | None = None) -> Size:
-        return Size(samples=float(27 * ALONG**3), geometry=part.geometry)
+        count = 1.0 if cases is None else 1 + cases.cells
+        box = (1.0,) * 3 if part.geometry is None else part.geometry.box
+        voxels = math.prod(max(1.0, ALONG * side / max(box)) for side in box)
+        return Size(samples=27 * voxels, cells=count, resident=voxels, geometry=part.geometry)
 
     def run(
         self, context: Context, part: SurfaceMesh, cases: LoadCases | None, near: SurfaceMesh | None = None

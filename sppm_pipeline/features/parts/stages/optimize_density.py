@@ -110,7 +110,7 @@ class OptimizeDensity(LoadedPart):
             region_of(text, None)
 
     def estimate(self, palette: Palette, cases: Size, part: Size, grading: Size | None, recipe: RecipeSize) -> Size:
-        return self.law_size(recipe)
+        return self.solving(recipe, part, cases.cells * self.updates / 2)  # it usually settles before
 
     def run(
         self, context: Context, cases: LoadCases, part: SurfaceMesh, grading: Grading | None, recipe: Recipe
@@ -139,6 +139,7 @@ class OptimizeDensity(LoadedPart):
         """Bounds of the design variables (m,), with regions that are kept."""
         middles = middles_of(shared)
         low, high = (np.full(len(middles), bound) for bound in self.density)
+        kept = list[tuple[str, int, Bools]]()
         for texts, side in ((self.solid, 1), (self.empty, 0)):
             for text in texts:
                 region = region_of(text, part)
@@ -146,6 +147,14 @@ class OptimizeDensity(LoadedPart):
                 inside = region.distances(middles) <= (0.5 * max(shared.body.edges) if thin else 0)
                 if not inside.any():
                     raise DesignError(f"no element lies in {text!r}", hint="is it in the same place and unit?")
+                for other, its, there in kept:
+                    if its != side and (both := np.flatnonzero(inside & there)).size:
+                        x, y, z = middles[both[0]]
+                        raise DesignError(
+                            f"{other!r} is kept solid and {text!r} empty, and they meet, as at ({x:g}, {y:g}, {z:g}) mm",
+                            hint="give regions that do not meet",
+                        )
+                kept.append((text, side, inside))
                 low[inside] = high[inside] = self.density[side]
         return low, high
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
@@ -14,6 +15,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import field_body
 from sppm_pipeline.features.parts.material import LoadedPart, Model, depths_of, middles_of, simulated
 from sppm_pipeline.features.parts.part_result import PartResult
+from sppm_pipeline.features.parts.pictures import SHOWN
 from sppm_pipeline.method.families.homogenizer import Quiet
 from sppm_pipeline.method.nouns.conditions import LoadCases
 from sppm_pipeline.method.nouns.maps import Grading
@@ -25,6 +27,14 @@ from sppm_pipeline.stage import Context, Headline, Recipe, option
 
 VOXEL_BYTES = 80
 """Of the solver in single precision: displacements, residual, direction and forces, moduli and weights, images."""
+
+FACES = 0.9
+"""Measured faces of voxels on a unit of expected surface: 1.5 on average over all directions, less where voxels merge
+what is near."""
+
+FACE_VOXELS, AFTER = 5.2, 0.7
+"""Memory for a face of the surface that is shown, in that of a voxel of the solver, and how much of that is left beside
+it: both measured."""
 
 COARSEST = 8
 """Voxels along an edge of the cell from which on a grid half as fine makes sense (heuristic; error bars tell)."""
@@ -82,11 +92,17 @@ class SimulatePart(LoadedPart):
         recipe: RecipeSize | None = None,
     ) -> Size:  # fmt: skip
         if recipe is not None:
-            return self.law_size(recipe)
+            return self.solving(recipe, part or field, cases.cells)
         if field is None:
             return Size()
-        grid = field.grid(self.resolution)
-        return Size(samples=8 * grid.samples, voxels=grid.samples, resident=grid.samples)
+        grid, body = field.grid(self.resolution), field.body
+        # the surface is kept for pictures, of blocks where that would be too much
+        block = math.ceil(max(1.0, grid.samples * (1 - body.porosity) / SHOWN) ** (1 / 3))
+        faces = FACES * body.area * (self.resolution / block) ** 2
+        return Size(
+            samples=8 * grid.samples, voxels=cases.cells * grid.samples,
+            resident=max(grid.samples, AFTER * grid.samples + FACE_VOXELS * faces),
+        )  # fmt: skip
 
     def run(
         self, context: Context, cases: LoadCases, field: ScalarField | None, part: SurfaceMesh | None,
