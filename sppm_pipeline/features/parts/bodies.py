@@ -310,6 +310,12 @@ def mesh_body(mesh: SurfaceMesh, edge: float) -> SharedBody:
     return SharedBody(VoxelBody(share > 0, edges, (low_x, low_y, low_z)), share)
 
 
+def _share(samples: F32) -> F32:
+    """Solid fractions of voxels from two samples of a field along each edge, and one more at both ends."""
+    z, y, x = (n // 2 - 1 for n in samples.shape)
+    return solid_fractions(lambda *_: samples, (x, y, z), 1)
+
+
 def field_body(field: ScalarField, per_cell: int, threads: int, *, binary: bool) -> SharedBody:
     """The very solid of a field or part, on voxels of about a cell size over `per_cell`; shares are solid fractions."""
     cell, start = field.physical_edge(), np.array(field.origin_mm)
@@ -334,12 +340,12 @@ def field_body(field: ScalarField, per_cell: int, threads: int, *, binary: bool)
         half = in_cells(Grid((-0.25,) * 3, (0.5,) * 3, (2 * nx + 2, 2 * ny + 2, 2 * nz + 2)))
         for k in range(0, nz, SLAB):
             layers = share[k : k + SLAB]
-            inner, skin, outer = (
-                one if one is None else solid_fractions(lambda *_, one=one: one, layers.shape[::-1], 1)  # type: ignore[misc]
-                for one in field.fields_zyx(half, threads, 2 * k, 2 * (k + len(layers) + 1))
-            )
+            inner, skin, outer = field.fields_zyx(half, threads, 2 * k, 2 * (k + len(layers) + 1))
             # one field of all would have kinks where they meet, next to which slopes say nothing of the surface
-            layers[:] = outer * (inner if skin is None else 1 - (1 - inner) * (1 - skin))
+            layers[:] = _share(inner)
+            if skin is not None:
+                layers[:] = 1 - (1 - layers) * (1 - _share(skin))
+            layers *= _share(outer)
     else:
         share = solid_fractions(
             lambda grid, first, stop: field.sample_zyx(in_cells(grid), first, stop, threads), (nx, ny, nz), 1

@@ -37,6 +37,9 @@ TRIED = 8
 """Numbers of pores that usually cover a range of densities."""
 
 
+TOLERANCE = "relative error of the result left by the solver, estimated; of the compliance"
+
+
 class Silent(Quiet):
     """A context that reports nothing either."""
 
@@ -71,8 +74,7 @@ class LoadedPart(Stage):
         "cubic", help="cubic: the law is averaged over the symmetries of a cube, which stochastic cells have in the "
         "mean; none: as the trial cells are", choices=("cubic", "none"),
     )  # fmt: skip
-    solver_tolerance: float = option(1e-5, help="relative error of the result left by the solver, estimated; of the "
-                                     "compliance", minimum=1e-10, maximum=0.01)  # fmt: skip
+    solver_tolerance: float = option(1e-5, help=TOLERANCE, minimum=1e-10, maximum=0.01)
     iterations: int = options.iterations(2000)
 
     def check_options(self) -> None:
@@ -89,7 +91,9 @@ class LoadedPart(Stage):
         count = 0.0
         if body is not None:
             mm = cell.cell.edge_mm or 1.0 if self.cell is None else self.cell.mm()
-            count = math.prod(max(1.0, body.scale * side / self._edge(body.scale * max(body.box), mm)) for side in body.box)
+            count = math.prod(
+                max(1.0, body.scale * side / self._edge(body.scale * max(body.box), mm)) for side in body.box
+            )
         return Size(samples=law.samples, voxels=solves * count, resident=law.resident, nodes=count)
 
     def _edge(self, longest: float, cell: float) -> float:
@@ -260,9 +264,7 @@ def simulated(
         direct = np.bincount(one.pulled.at[own] // (u.size // 3), one.pulled.values[own], 3)
         reaction = [float(forces[k][one.fixed[k]].sum(dtype=np.float64) - direct[k]) for k in range(3)]
         del forces
-        # of pieces that hang by an edge of a voxel the movement says nothing
-        move = float(np.sqrt(np.percentile(np.einsum("c...,c...->...", u, u)[used], TOP)))
-        _check_move(context, case, move, ready.body)
+        move = checked_move(context, case, u, used, ready.body)
         stress = _stress(model, solid, u)
         top = float(np.percentile(stress[solid], TOP))
         peak = top
@@ -319,8 +321,10 @@ def works(one: Applied, u: NDArray[Any], forces: NDArray[Any]) -> tuple[float, f
     return loads, float(moved.values @ forces.reshape(-1)[moved.at].astype(np.float64)) - direct
 
 
-def _check_move(context: Context, case: LoadCase, move: float, body: VoxelBody) -> None:
-    """Refuse displacements that no part can have, and warn of those that are not small."""
+def checked_move(context: Context, case: LoadCase, u: NDArray[Any], used: Bools, body: VoxelBody) -> float:
+    """The largest displacement; one that no part can have is refused, and there is a warning if it is not small."""
+    # of pieces that hang by an edge of a voxel the movement says nothing
+    move = float(np.sqrt(np.percentile(np.einsum("c...,c...->...", u, u)[used], TOP)))
     longest = float((np.array(body.edges) * body.solid.shape[::-1]).max())
     if move > 10 * LARGE * longest:
         raise DesignError(
@@ -332,6 +336,7 @@ def _check_move(context: Context, case: LoadCase, move: float, body: VoxelBody) 
             f"case {case.name!r}: the part moves by {move / longest:.0%} of its length; linear elasticity, which "
             "assumes small displacements, is not reliable"
         )
+    return move
 
 
 def _stress(model: Model, solid: Bools, u: NDArray[Any]) -> F32:

@@ -26,6 +26,9 @@ FORMS = (
 UNITS = {"force": {"N": 1.0, "kN": 1e3}, "pressure": {"MPa": 1.0, "kPa": 1e-3, "bar": 0.1}, "displacement": UNITS_IN_MM}
 """Units of conditions, in N, MPa and mm."""
 
+MAX_VALUE = 1e12
+"""Of a condition, in the same units: no part has as much, and single precision has room for what follows from it."""
+
 
 class Region(NamedTuple):
     """A piece of space that selects what lies in it, or within a tolerance of it."""
@@ -243,6 +246,10 @@ def condition_of(kind: str, text: str, part: SurfaceMesh | None, near: SurfaceMe
             value = None if word == "free" and kind == "displacement" else UNITS[kind][unit] * float(word)
         except ValueError:
             value = math.nan
+        if value is not None and MAX_VALUE < abs(value) < math.inf:
+            raise ConfigError(
+                f"{word[:40]!r} in {text[:100]!r} is more than {MAX_VALUE:g} N, MPa or mm", hint="is the unit right?"
+            )
         if value is not None and not math.isfinite(value):
             raise ConfigError(
                 f"{word[:40]!r} in {text[:100]!r} is no number", hint=f"write for example '{example} on ...'"

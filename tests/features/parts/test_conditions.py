@@ -80,6 +80,8 @@ def test_names_of_groups_may_have_any_words(text, free):
         (lambda: condition_of("force", "0 0 -200 on plane z at 0", None), "is no force"),
         (lambda: condition_of("force", "0 0 -200 MPa on plane z at 0", None), "units are N, kN"),
         (lambda: condition_of("force", "0 0 nan N on plane z at 0", None), "is no number"),
+        (lambda: condition_of("force", "0 0 inf N on plane z at 0", None), "is no number"),
+        (lambda: condition_of("force", "0 0 -1.1e9 kN on plane z at 0", None), "is more than 1e+12 N"),
         (lambda: condition_of("pressure", "1 2 3 MPa on plane z at 0", None), "is no pressure"),
         (lambda: condition_of("force", "free 0 1 N on plane z at 0", None), "is no number"),
     ],

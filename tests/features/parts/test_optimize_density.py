@@ -178,6 +178,25 @@ def test_regions_are_kept_and_masses_out_of_reach_refused():
         stage(solid=("sphere 60 0 0 radius 1 mm",))._bounds(mesh, shared)
 
 
+def test_wrong_units_are_refused_before_the_search():
+    shared, mesh = beam()
+    problem = Problem(stage(), square_law(), shared, np.zeros(384), cases_of(mesh, DOWN.replace("-5", "-1e9")))
+    cone = ConeFilter(shared.body.solid, shared.body.edges, 1.0)
+    with pytest.raises(DesignError, match="are forces in N"):
+        stage()._search(PlainContext(), problem, stage()._bounds(mesh, shared), cone)
+
+
+def test_regions_kept_solid_and_empty_may_not_meet():
+    shared, mesh = beam()
+    overlap = {"solid": ("box 0 0 0 to 4 1 4 mm", "box 8 0 0 to 12 1 4 mm"), "empty": ("box 3 0 0 to 5 1 4 mm",)}
+    with pytest.raises(
+        DesignError, match=r"'box 0 0 0 to 4 1 4 mm' is kept solid and 'box 3 .* both are at \(3.25, 0.25, 0.25\)"
+    ):
+        stage(**overlap)._bounds(mesh, shared)
+    low, _ = stage(solid=("box 0 0 0 to 4 1 4 mm", "box 3 0 0 to 5 1 4 mm"))._bounds(mesh, shared)
+    assert (low == 0.85).sum() == 10 * 2 * 8
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline import ConfigError, DesignError, Length, SurfaceMesh
+from sppm_pipeline.engine.plan.estimate import cost
 from sppm_pipeline.features.parts.bodies import VoxelBody, field_body
 from sppm_pipeline.features.parts.density_law import SHARES, yield_factor
 from sppm_pipeline.features.parts.material import Model, simulated
@@ -16,11 +17,12 @@ from sppm_pipeline.features.parts.stages.simulate_part import SimulatePart
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
 from sppm_pipeline.method.fields.formula import FormulaField
 from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.method.part.primitive_meshes import box_mesh
+from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.method.porosity.fractions import stiff_share
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.nouns.size import ONE, CellDesign, Geometry, Size
 from sppm_pipeline.services.elastic.loaded import packed
 from sppm_pipeline.services.elastic.voigt import lame
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
@@ -149,6 +151,48 @@ def test_a_solid_block_is_pulled_as_a_bar():
     assert made.stress == pytest.approx(3 / 16, rel=0.01)
     assert made.mass is None
     assert made.safety is None
+
+
+@pytest.mark.parametrize("skin", [0.0, 0.3])
+def test_voxels_of_a_part_have_its_mass_on_any_grid(skin):
+    """The least of the fields of structure, skin and domain has kinks, beside which its slopes are those of none."""
+    ball = SurfaceMesh(*ball_mesh((4.0, 3.1, 2.0), 3.1))
+    body = Part(Frame(edge=CELL, region=(4, 4, 2)), ball, skin_mm=skin)
+    exact = field_body(body, 60, 1, binary=True)
+    volume = exact.share.sum(dtype=float) * np.prod(exact.body.edges)
+    for n, error in ((8, 0.012), (16, 0.004)):
+        found = field_body(body, n, 1, binary=False)
+        assert found.share.sum(dtype=float) * np.prod(found.body.edges) == pytest.approx(volume, rel=error)
+
+
+def test_memory_is_estimated():
+    """Bytes that resolved parts took beyond what was there before; between what it takes and a third more."""
+    shapes = {
+        "cube": Geometry(box=(8, 8, 8), volume=512, envelope=384, porosity=0.7, surface=7.775),
+        "bracket": Geometry(box=(15, 3, 6), volume=270, envelope=326, porosity=0.5, surface=10.04),
+        "pad": Geometry(box=(15, 13, 3), volume=457.6, envelope=437, porosity=0.576, surface=8.22),
+    }
+    measured = (("cube", 16, 433e6), ("cube", 32, 1254e6), ("bracket", 16, 328e6), ("pad", 14, 432e6))
+    for shape, resolution, taken in measured:
+        field = Size(geometry=shapes[shape])
+        size = SimulatePart(resolution=resolution, young=YOUNG).estimate(ONE, Size(cells=3), field, None, None)
+        assert size.voxels == pytest.approx(3 * np.prod(shapes[shape].box) * resolution**3)
+        assert taken <= cost("simulate.part", size.units()).memory < 1.3 * taken
+
+
+def test_estimates_count_cases_and_elements():
+    part = Size(geometry=Geometry(edge_mm=2.0, box=(8, 4, 4)))
+    one = AddLoadCase(force=("1 0 0 N on surface",)).estimate(ONE, part, None)
+    two = AddLoadCase(force=("1 0 0 N on surface",)).estimate(ONE, part, one)
+    assert (one.cells, two.cells) == (1, 2)
+    assert one.samples == 27 * 48 * 24 * 24
+    law = Size(design=CellDesign(edge_mm=4.0), geometry=Geometry())
+    size = SimulatePart(young=YOUNG, law_resolution=16, trials=2).estimate(
+        ONE, two, None, part, None, lambda palette, repeats: law
+    )  # elements of 2 mm in 16 x 8 x 8 mm
+    assert (size.nodes, size.voxels, size.resident) == (8 * 4 * 4, 2 * 128, 16**3)
+    larger = SimulatePart(young=YOUNG, law_resolution=16, trials=2, element=Length(4.0, "mm"))
+    assert larger.estimate(ONE, two, None, part, None, lambda palette, repeats: law).nodes == 4 * 2 * 2
 
 
 def test_coarse_voxels_are_extrapolated_with_an_error_bar(part):

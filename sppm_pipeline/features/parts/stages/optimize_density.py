@@ -13,7 +13,15 @@ from sppm_pipeline import Context, Headline, Length, Palette, Recipe, RecipeSize
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import SharedBody
 from sppm_pipeline.features.parts.density_law import DensityLaw
-from sppm_pipeline.features.parts.material import LoadedPart, Prepared, middles_of, prepared, solved, works
+from sppm_pipeline.features.parts.material import (
+    LoadedPart,
+    Prepared,
+    checked_move,
+    middles_of,
+    prepared,
+    solved,
+    works,
+)
 from sppm_pipeline.method.nouns.conditions import LoadCases, region_of
 from sppm_pipeline.method.nouns.maps import Grading, ImageLaw
 from sppm_pipeline.numerics import node_sums
@@ -151,7 +159,7 @@ class OptimizeDensity(LoadedPart):
                     if its != side and (both := np.flatnonzero(inside & there)).size:
                         x, y, z = middles[both[0]]
                         raise DesignError(
-                            f"{other!r} is kept solid and {text!r} empty, and they meet, as at ({x:g}, {y:g}, {z:g}) mm",
+                            f"{other!r} is kept solid and {text!r} empty, and both are at ({x:g}, {y:g}, {z:g}) mm",
                             hint="give regions that do not meet",
                         )
                 kept.append((text, side, inside))
@@ -166,6 +174,8 @@ class OptimizeDensity(LoadedPart):
         for step in range(self.updates + 1):
             state = problem.solved(context, cone.mean(design))
             history.append(state.compliance)
+            if step == 0:
+                problem.check_moves(context)
             context.progress(step, self.updates, f"steps; compliance {state.compliance:.4g} N mm")
             if self.history is not None and step % EVERY == 0:
                 self._draw(context, problem.shared, state.density, step)
@@ -295,6 +305,11 @@ class Problem:
                 pulled = node_sums(np.tensordot(np.array(one.case.gravity), u, 1))[1:, 1:, 1:][one.body.solid] / 8
                 gain -= one.case.weight * 2e-3 * self.masses * pulled
         return State(density, compliance, gain)
+
+    def check_moves(self, context: Context) -> None:
+        """Refuse displacements, when last solved, that no part can have."""
+        for one in self._ready:
+            checked_move(context, one.case, self._starts[one.case.name], one.body.used(), one.body)
 
     def squared_stresses(self) -> F64:
         """Squares of the mean stresses of the elements (m, 3, 3) when last solved, weighted over the cases."""
