@@ -37,9 +37,6 @@ TRIED = 8
 """Numbers of pores that usually cover a range of densities."""
 
 
-TOLERANCE = "relative error of the result left by the solver, estimated; of the compliance"
-
-
 class Silent(Quiet):
     """A context that reports nothing either."""
 
@@ -74,7 +71,8 @@ class LoadedPart(Stage):
         "cubic", help="cubic: the law is averaged over the symmetries of a cube, which stochastic cells have in the "
         "mean; none: as the trial cells are", choices=("cubic", "none"),
     )  # fmt: skip
-    solver_tolerance: float = option(1e-5, help=TOLERANCE, minimum=1e-10, maximum=0.01)
+    solver_tolerance: float = option(1e-5, help="relative error of the result left by the solver, estimated; of the "
+                                     "compliance", minimum=1e-10, maximum=0.01)  # fmt: skip
     iterations: int = options.iterations(2000)
 
     def check_options(self) -> None:

@@ -13,7 +13,7 @@ from sppm_pipeline import Palette, Part, RecipeSize, ScalarField, Size, SurfaceM
 from sppm_pipeline.engine.process.budget import require_memory
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.parts.bodies import field_body
-from sppm_pipeline.features.parts.material import TOLERANCE, LoadedPart, Model, depths_of, middles_of, simulated
+from sppm_pipeline.features.parts.material import LoadedPart, Model, depths_of, middles_of, simulated
 from sppm_pipeline.features.parts.part_result import PartResult
 from sppm_pipeline.features.parts.pictures import SHOWN
 from sppm_pipeline.method.families.homogenizer import Quiet
@@ -75,8 +75,6 @@ class SimulatePart(LoadedPart):
         "auto", help="auto: voxels at the surface count by their solid fraction; binary: by their center",
         choices=("auto", "binary"),
     )  # fmt: skip
-    # a tenth of it is left in fact, next to error bars of some per cent; 1e-5 takes a fifth more time
-    solver_tolerance: float = option(1e-4, help=TOLERANCE, minimum=1e-10, maximum=0.01)
     porosity: float | None = options.porosity(None, note="of a homogenized part without a map of it")
     surface_layer: float = option(
         0.08, help="depth below a surface without skin that bears nothing in a homogenized part: cells are cut there",
