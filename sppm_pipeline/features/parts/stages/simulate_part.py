@@ -60,6 +60,7 @@ class SimulatePart(LoadedPart):
     """
 
     name: ClassVar[str] = "simulate.part"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "lower `resolution`, or give larger elements"
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("compliance", "compliance", "N mm"), Headline("deflection", "largest displacement", "mm"),
