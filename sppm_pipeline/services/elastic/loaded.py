@@ -263,7 +263,8 @@ class HeldBody:
         residual : float
             Part of the loads, and of what given displacements cause, that may be left over.
         energy : float
-            ... or estimated relative error of the energy that the iteration gains, or of what is left of `stored`.
+            ... or estimated relative error of the energy that the iteration gains, or of what is left of `stored`, or of
+            what given displacements store.
         iterations : int
             Of all restarts together.
         stored : float
@@ -290,6 +291,10 @@ class HeldBody:
             b[fixed] = 0
             return float(np.sqrt(dot(b, b)))
 
+        if moved is not None and start is None:
+            # a step at the nodes that are moved stores far more than what is left in the end, of which errors are parts
+            self._free.apply(APPLY, u, u, b, self._work)
+            stored = dot(u, b)
         whole = first = left_over(u)
         # measured against what there is without the guess; where nothing pulls, nothing moves
         if start is not None and whole:

@@ -68,6 +68,24 @@ def test_forces_are_those_of_the_assembled_matrix():
     assert body.forces(u).reshape(-1) == pytest.approx(expected, rel=1e-12, abs=1e-11)
 
 
+def test_what_given_displacements_store_is_as_exact_as_what_loads_do():
+    """Not in parts of what one layer of voxels would store, if it took all of the displacement: 200 times as much."""
+    shape = (48, 12, 12)
+    solid = np.random.default_rng(2).random((24, 6, 6)) < 0.7
+    solid = solid.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    fixed = np.zeros((3, *(n + 1 for n in shape)), bool)
+    fixed[:, [0, -1]] = True
+    given = np.zeros(fixed.shape)
+    given[2, -1] = 0.1
+    body = HeldBody(Moduli.of(*(value * solid for value in lame(1.0, 0.3))), EDGES, fixed, np.float64)
+
+    def stored(**stop):
+        u = body.solve(np.zeros(fixed.shape), given, **stop).displacement
+        return float((u * body.forces(u)).sum())
+
+    assert stored(residual=0.0, energy=1e-3) == pytest.approx(stored(residual=1e-10), rel=1e-3)
+
+
 @pytest.mark.parametrize("general", [True, False])
 def test_solutions_are_those_of_the_assembled_matrix(general):
     """Loads and given displacements together, to 1e-8."""
