@@ -263,7 +263,7 @@ class HeldBody:
         residual : float
             Part of the loads, and of what given displacements cause, that may be left over.
         energy : float
-            ... or estimated relative error of the energy that the iteration gains, or of what is left of `stored`, or of
+            ... or estimated relative error of the energy that the iteration gains, or of what is left of `stored` or of
             what given displacements store.
         iterations : int
             Of all restarts together.
