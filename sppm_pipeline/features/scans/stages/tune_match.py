@@ -79,7 +79,7 @@ class TuneMatch(Stage):
         ("S2", "chords", "thickness"), help="statistics that are matched beside the porosity", choices=KINDS
     )
     stretch: tuple[float, float, float] | None = option(
-        None, help="how many times longer the twin is along x, y and z", minimum=0.05, maximum=20
+        None, help="how many times longer; the twin, along x, y and z", minimum=0.05, maximum=20
     )
     turn: tuple[float, float, float] | None = options.turn(None, note="by which what was stretched is turned")
     hold_out: bool = option(True, help="measure stiffness and permeability of scan and twin")
