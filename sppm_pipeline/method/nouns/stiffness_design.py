@@ -76,7 +76,7 @@ class StiffnessDesign(Report):
         return {name.replace(".", "_"): value for name, value in self.options}
 
     def check(self) -> None:
-        """Matrices of their shapes, a rotation, and stretches of the product 1."""
+        """Matrices of their shapes, a rotation, stretches of the product 1, and a solid that is stiff."""
         shapes = {"stretch": (3,), "rotation": (3, 3), **dict.fromkeys(("stiffness", "target", "draw_error"), (6, 6))}
         for name, shape in shapes.items():
             values = getattr(self, name)
@@ -84,5 +84,7 @@ class StiffnessDesign(Report):
                 raise ValueError(f"{name} is finite and of the shape {shape}, got {values.shape}")
         if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(self.rotation) < 0:
             raise ValueError("the rotation is not orthogonal, or mirrors")
+        if not self.young > 0:
+            raise ValueError(f"Young's modulus of the solid is above 0, got {self.young}")
         if not (self.stretch > 0).all() or abs(float(np.prod(self.stretch)) - 1) > 1e-9:
             raise ValueError(f"stretches are positive and of the product 1, got {self.stretch}")

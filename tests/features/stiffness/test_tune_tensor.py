@@ -150,6 +150,9 @@ def test_the_solid_is_that_of_the_design_unless_it_is_given():
     assert TuneTensor()._solid(design) == (100.0, 0.35)
     assert TuneTensor(young=7.0, poisson=0.0)._solid(design) == (7.0, 0.0)
     assert TuneTensor()._solid(None) == (1.0, 0.3)
+    design.check()
+    with pytest.raises(ValueError, match="Young's modulus"):
+        wanted(np.eye(6), young=0.0).check()
 
 
 def test_a_cell_meets_the_tensor_of_another_draw_stretched_and_turned():

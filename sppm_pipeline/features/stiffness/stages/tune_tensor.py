@@ -127,12 +127,9 @@ class TuneTensor(Stage):
     def _solver(self, design: StiffnessDesign | None, resolution: int) -> HomogenizeVoxel:
         stretch = None if design is None else cast(tuple[float, float, float], tuple(map(float, design.stretch)))
         return HomogenizeVoxel(
-            resolution=resolution,
-            poisson=self._solid(design)[1],
-            stretch=stretch,
-            solver_tolerance=1e-3,
+            resolution=resolution, poisson=self._solid(design)[1], stretch=stretch, solver_tolerance=1e-3,
             iterations=3000,
-        )
+        )  # fmt: skip
 
     def run(self, context: Context, recipe: Recipe, design: StiffnessDesign | None = None) -> ScalarField:
         """Draw, search, measure on a finer grid."""
@@ -276,13 +273,14 @@ class Search:
         """The cell as it was drawn, at the design's dials and porosity or at its own."""
         dials = np.array([value for _, value in design.options] if design is not None else [])
         field = self._plain(dials)
-        if design is not None:
+        if design is None:
+            self._porosity = 1 - self.counted(field)
+        else:
             self._porosity = design.porosity
             field = self.cut(field)
         solid = self._share(field)
         if not 0 < solid < 1:
             raise DesignError("the cell is empty or full: it has no structure to change", hint="change the porosity")
-        self._porosity = 1 - self.counted(field)
         step = 1e-3 * float(np.ptp(field.sample(self._solver.resolution, self._context.threads)))
         high, low = (float(self._sampled(field.cut_at(sign * step), self._solver).mean()) for sign in (1, -1))
         # the level that would remove the solid if its surface stayed as large
