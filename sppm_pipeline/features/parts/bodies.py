@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import Part, ScalarField, SurfaceMesh
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.features.parts.stubs import firm_faces, same_resultant
 from sppm_pipeline.method.nouns.conditions import AXES, Condition, LoadCase, Region
 from sppm_pipeline.method.part.inside import inside_layers, prepare_inside, way_for
 from sppm_pipeline.method.porosity.fractions import solid_fractions
@@ -158,11 +159,12 @@ def applied(body: VoxelBody, case: LoadCase, mass: NDArray[np.floating]) -> Appl
                 (axis * count + nodes, value, number) for axis, value in enumerate(one.values) if value is not None
             ]
         elif one.kind == "force":
-            at, share = (corners, np.repeat(area, 4)) if len(corners) else (nodes, np.ones(len(nodes)))
-            loads += [
-                NodalValues(axis * count + at, share * (value / float(share.sum())))
-                for axis, value in enumerate(one.values) if value
-            ]  # fmt: skip
+            at, share, firm = nodes, np.ones(len(nodes)), np.ones(len(nodes), bool)
+            if len(corners):
+                at, share = corners, np.repeat(area, 4)
+                firm = np.repeat(firm_faces(faces.voxel, body.solid, mass), 4)
+            forces = same_resultant(body.points(at), share, firm, np.array(one.values, np.float64))
+            loads += [NodalValues(axis * count + at, forces[:, axis]) for axis in range(3) if forces[:, axis].any()]
         else:
             push = np.repeat(-area * faces.side * float(one.values[0] or 0), 4)
             loads.append(NodalValues(np.repeat(faces.axis, 4) * count + corners, push))

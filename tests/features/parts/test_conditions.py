@@ -7,6 +7,7 @@ import pytest
 
 from sppm_pipeline import ConfigError, DesignError, InputError, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import VoxelBody, applied, exposed_faces, held_solid, mesh_body
+from sppm_pipeline.features.parts.stubs import same_resultant
 from sppm_pipeline.method.nouns.conditions import LoadCase, condition_of, held_of, region_of
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
 
@@ -114,6 +115,41 @@ def test_loads_have_the_totals_that_they_state():
     assert found.fixed.all(axis=0).sum() == 4 * 5
     heavy = applied(BLOCK, case("fix: plane x at low", gravity=(0.0, 0.0, -10.0)), MASS)
     assert heavy.total == pytest.approx([0, 0, -60 * 2e-3 * 10])
+
+
+def posts(y, x, neck):
+    """Posts of 5 x 5 voxels on a plate, and one of 2 x 2 at (y, x) on a neck of so many."""
+    solid = np.zeros((20, 20, 20), bool)
+    solid[:6] = True
+    for j, i in ((0, 0), (0, 15), (15, 0), (15, 15)):
+        solid[:, j : j + 5, i : i + 5] = True
+    solid[6:19, y : y + neck, x : x + neck] = solid[19, y : y + 2, x : x + 2] = True
+    return VoxelBody(solid, (1.0, 0.5, 2.0), (3.0, 0.0, -1.0))
+
+
+def test_stubs_bear_no_force_and_total_and_moment_stay():
+    load = LoadCase("tilt", 1.0, (condition_of("force", "3 -2 5 N on plane z at 39 mm", None),))
+    share = np.ones((20, 20, 20), np.float32)
+    # faces of the posts, and of the stub: the moment is that of the force in the middle of all
+    middle = (100 * np.array([13, 5, 39]) + 4 * np.array([15, 4.5, 39])) / 104
+    for neck, loaded in ((1, 4 * 36), (2, 4 * 36 + 9)):
+        body = posts(8, 11, neck)
+        found = applied(body, load, share)
+        forces = found.pulled.dense(found.fixed.shape).reshape(3, -1).T
+        nodes = np.flatnonzero(forces.any(1))
+        assert len(nodes) == loaded
+        assert forces.sum(0) == pytest.approx([3, -2, 5], rel=1e-12)
+        moment = np.cross(body.points(nodes), forces[nodes]).sum(0)
+        assert moment == pytest.approx(np.cross(middle, [3, -2, 5]), rel=1e-12)
+    # more than a twentieth of the face is no stub: the part was made to be loaded there
+    body = posts(8, 11, 1)
+    body.solid[6:, :5, :5] = body.solid[6:, 15:, 15:] = False
+    few = applied(body, load, share)
+    assert np.count_nonzero(few.pulled.dense(few.fixed.shape).any(0)) == 2 * 36 + 9
+    # points on a line bear no moment about it: then all of them are loaded
+    line = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    forces = same_resultant(line, np.ones(3), np.array([True, True, False]), np.array([0, 0, 3.0]))
+    assert forces == pytest.approx(np.outer(np.ones(3), [0, 0, 1]))
 
 
 def test_pressure_pushes_inwards_and_balances_around_a_body():

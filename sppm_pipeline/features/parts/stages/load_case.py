@@ -25,7 +25,9 @@ class AddLoadCase(Stage):
     part within a voxel of them: ``plane z at 0 mm`` (or ``at low``, ``at high``), ``box 0 0 0 to 10 10 5 mm``, ``sphere
     0 0 5 radius 3 mm``, ``cylinder z at 12 0 radius 4 mm`` (and ``from 0 to 10``), ``group NAME`` of the mesh, ``#12``,
     ``holes d<6mm`` or ``color red`` of a CAD file, ``near`` for the surface of a second mesh, ``surface`` for all of
-    it. Forces are totals, spread by area. A case without `fix` and `symmetry` is held as the one before.
+    it. Forces are totals, spread by area; stubs of cut struts, on necks that anything which presses on the part would
+    bend aside, get none, and the rest of the region takes theirs, so that the moment stays, too. A case without `fix`
+    and `symmetry` is held as the one before.
 
     Regions that touch nothing, rigid motions that nothing prevents, and conditions that contradict each other are
     refused before anything is solved.

@@ -73,6 +73,7 @@ class OptimizeDensity(LoadedPart):
     """
 
     name: ClassVar[str] = "optimize.density"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = (
         *LoadedPart.reported, "steps", "gain", "compliance", "mass", "relative_density", "maps.*",
     )  # fmt: skip
