@@ -140,9 +140,13 @@ class NativeCrash(SppmError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint that names the most similar known name."""
+    """Hint that names up to three similar names, such as those of which `word` is a part; else some of those known."""
     from difflib import get_close_matches
 
     known = sorted(known)
-    close = [name for name in known if name.lower() == word.lower()] or get_close_matches(word, known, 1)
-    return f"did you mean {close[0]!r}?" if close else "known are " + ", ".join(known)
+    close = [name for name in known if name.lower() == word.lower()]
+    close = close or [name for name in known if f".{word.lower()}." in f".{name.lower()}."]
+    close = close or get_close_matches(word, known, 1)
+    if close:
+        return f"did you mean {' or '.join(map(repr, close[:3]))}?"
+    return "known are " + ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")

@@ -19,7 +19,7 @@ SCHEMA = Path(sys.modules["sppm_pipeline"].__file__).parent / "engine" / "run" /
 PIPELINE = """\
 sppm: 1
 name: ball
-notes: {license: CC-BY-4.0, author: A. Person}
+notes: {license: CC-BY-4.0, author: {name: A. Person, affiliation: A Laboratory}}
 params: {part: PART}
 pipeline:
   - {stage: read.mesh, path: "${part}", unit: mm}
@@ -134,7 +134,13 @@ def test_a_bundle_runs_again_elsewhere_to_the_same_bytes(part, tmp_path_factory)
     graph = {one["@id"]: one for one in json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"]}
     root, action = graph["./"], graph["#run"]
     assert graph["ro-crate-metadata.json"]["conformsTo"]["@id"] == "https://w3id.org/ro/crate/1.1"
-    assert (root["license"], graph["#author"]["name"]) == ("CC-BY-4.0", "A. Person")
+    license, author = graph[root["license"]["@id"]], graph[action["agent"]["@id"]]
+    assert (license["@id"], author["name"]) == ("https://spdx.org/licenses/CC-BY-4.0", "A. Person")
+    assert graph[author["affiliation"]["@id"]] == {
+        "@id": "#affiliation",
+        "@type": "Organization",
+        "name": "A Laboratory",
+    }
     parts = {one["@id"] for one in root["hasPart"]}
     assert parts == {"pipeline.yaml", "inputs/ball.stl", "run/again.ply", "run/run.json", "run/SHA256SUMS"}
     assert {one["@id"] for one in action["result"]} == {name for name in parts if name.startswith("run/")}

@@ -55,6 +55,15 @@ def test_a_summary_has_the_order_of_the_class():
     assert replace(made, bars=(0.1, 0.2)).summary()["bars"] == [0.1, 0.2]
 
 
+def test_attributes_that_are_not_there_are_answered_by_those_that_are():
+    made = Finer((1.0, 2.0), "MPa")
+    with pytest.raises(AttributeError, match="a Finer has no 'part'; did you mean 'parts'"):
+        _ = made.part
+    with pytest.raises(AttributeError, match=r"no 'zzz'; known are .*hidden.*more"):
+        _ = made.zzz
+    assert not hasattr(made, "_private")
+
+
 def test_headlines_and_boxes_have_labels_units_and_error_bars():
     assert Mixture.headlines() == (
         Headline("parts.2", "part2", "{unit}", "bars.2"), Headline("kind", "which"), Headline("moduli", "moduli"),

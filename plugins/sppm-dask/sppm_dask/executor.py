@@ -224,7 +224,7 @@ def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:
     try:
         queues = importlib.import_module("dask_jobqueue")
     except ImportError as error:
-        raise ConfigError(f"dask:{where} needs dask-jobqueue", hint="pip install 'sppm-dask[jobqueue]'") from error
+        raise ConfigError(f"dask:{where} needs dask-jobqueue", hint="pip install dask-jobqueue") from error
     cluster = ending.enter_context(getattr(queues, QUEUES[where])())  # partition, cores and time: ~/.config/dask
     cluster.adapt(minimum_jobs=1, maximum_jobs=workers)
     return Client(cluster, set_as_default=False)

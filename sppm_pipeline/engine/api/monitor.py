@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import time
 import warnings
@@ -37,8 +38,29 @@ class WarningMonitor(Monitor):
         self._registry = frame.f_globals.setdefault("__warningregistry__", {})
 
     def warning(self, stage: str | None, message: str) -> None:
-        text = f"{stage}: {message}" if stage else message
+        self._warn(f"{stage}: {message}" if stage else message)
+
+    def _warn(self, text: str) -> None:
         warnings.warn_explicit(text, SppmWarning, self._file, self._line, self._module, self._registry)
+
+
+class SweepWarnings(WarningMonitor):
+    """The warnings of the runs of a sweep, each kind told once at its end: those that differ in numbers are one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._kinds: dict[str, list[str]] = {}
+
+    def warning(self, stage: str | None, message: str) -> None:
+        text = f"{stage}: {message}" if stage else message
+        self._kinds.setdefault(re.sub(r"[\d.]+", "#", text), []).append(text)
+
+    def close(self) -> None:
+        """Warn of all that was kept."""
+        for _, texts in sorted(self._kinds.items()):
+            # the first in an order that does not depend on threads
+            more = f" (and alike {len(texts) - 1} times more in this sweep)" if len(texts) > 1 else ""
+            self._warn(min(texts) + more)
 
 
 class SweepProgress:

@@ -8,11 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.api.monitor import SweepProgress, WarningMonitor
+from sppm_pipeline.engine.api.monitor import SweepProgress, SweepWarnings, WarningMonitor
 from sppm_pipeline.engine.cache.housekeeping import open_store
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.config.document import plain
-from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.session import Session
 from sppm_pipeline.engine.run.executors import WorkerOptions
@@ -21,7 +20,7 @@ from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of, units_of
-from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.errors import ConfigError, SppmError, nearest
 from sppm_pipeline.nouns.artifact import escaped, shown
 from sppm_pipeline.nouns.table import Table
 from sppm_pipeline.nouns.viewers import viewer_of
@@ -31,7 +30,7 @@ class Numbers(dict[str, float]):
     """The numbers of a run by ``<stage id>.<name>``; of an unknown one it is said what is known."""
 
     def __missing__(self, name: str) -> float:
-        hint = did_you_mean(name, self) if self else "no stage of the run reports numbers"
+        hint = nearest(name, self) if self else "no stage of the run reports numbers"
         raise ConfigError(f"the run has no number {name!r}", hint=hint)
 
 
@@ -168,12 +167,13 @@ class Run:
                 progress.row_finished(result["status"] == "done")
             return result
 
-        monitor, progress, lock, units = WarningMonitor(), SweepProgress(len(rows)), threading.Lock(), dict[str, str]()
+        monitor, progress, lock, units = SweepWarnings(), SweepProgress(len(rows)), threading.Lock(), dict[str, str]()
         try:
             with ThreadPoolExecutor(max(1, jobs)) as pool:
                 runs = list(pool.map(one, range(len(rows))))
         finally:
             progress.close()
+            monitor.close()
         self.table = Table({name: tuple(values) for name, values in columns_of(runs).items()}, units=units)
         self.record = {"runs": runs}
 

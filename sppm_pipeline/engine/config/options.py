@@ -63,7 +63,10 @@ def options_of(cls: type[Stage]) -> dict[str, Option]:
     for field in dataclasses.fields(cls):
         spec = field.metadata.get("option")
         if not isinstance(spec, OptionSpec):
-            raise PluginError(f"the field {field.name!r} of {cls.__qualname__} is not declared with `option(...)`")
+            raise PluginError(
+                f"the field {field.name!r} of {cls.__qualname__} is not declared with `option(...)`",
+                hint=f"write `{field.name}: {field.type} = sppm.option(DEFAULT, help='what it is')`",
+            )
         if field.name in RESERVED:
             raise PluginError(f"{cls.__qualname__} can't have an option called {field.name!r}, which YAML needs itself")
         default = field.default

@@ -8,6 +8,7 @@ import io
 import json
 import mimetypes
 import os
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +24,8 @@ from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import ResourceError, SppmError
 
-CONTEXT = "https://w3id.org/ro/crate/1.1/context"
+# version 1.1, which the profile is made for, has no word for the digest of a file
+CONTEXT = ["https://w3id.org/ro/crate/1.1/context", {"sha256": "http://schema.org/sha256"}]
 PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 PIPELINE = "pipeline.yaml"
 
@@ -32,8 +34,8 @@ def write_crate(target: Path, plan: Plan, folder: Path, record: Mapping[str, Any
     """Write the archive of a run that has ended.
 
     It holds ``pipeline.yaml`` (``sppm run pipeline.yaml`` in the unpacked archive gives the same bytes), the files it
-    reads below ``inputs/``, the run directory below ``run/``, and ``ro-crate-metadata.json``, whose license and author
-    are those of the key `notes` of the configuration.
+    reads below ``inputs/``, the run directory below ``run/``, and ``ro-crate-metadata.json``, whose license, author
+    and publisher are those of the key `notes` of the configuration: a name, or a map of name, url and affiliation.
 
     Raises
     ------
@@ -138,8 +140,16 @@ def _metadata(
     ended = (began + datetime.timedelta(seconds=record["seconds"])).isoformat(timespec="seconds")
     program = f"https://pypi.org/project/sppm-pipeline/{sppm_pipeline.__version__}/"
 
-    def references(names: Sequence[str]) -> list[dict[str, str]]:
-        return [{"@id": quote(name)} for name in names]
+    def references(names: Sequence[str]) -> list[dict[str, str]] | dict[str, str]:
+        found = [{"@id": quote(name)} for name in names]
+        return found[0] if len(found) == 1 else found  # as the specification writes a single value
+
+    license = str(notes.get("license") or "Not stated: ask the author before you use it.")
+    if re.fullmatch(r"[A-Za-z0-9.+-]+", license):
+        license_id = f"https://spdx.org/licenses/{license}"
+    else:
+        license_id = license if re.match("https?://", license) else "#license"
+    people = {role: _party(role, notes[role]) for role in ("author", "publisher") if notes.get(role)}
 
     graph: list[dict[str, Any]] = [
         {
@@ -150,9 +160,10 @@ def _metadata(
             "@id": "./", "@type": "Dataset", "name": record["name"], "datePublished": ended,
             "description": f"A run of sppm_pipeline {sppm_pipeline.__version__}. "
             f"`sppm run {PIPELINE}` in this folder repeats it.",
-            "license": notes.get("license", "Not stated: ask the author before you use it."),
+            "license": {"@id": license_id}, **{role: {"@id": found[0]["@id"]} for role, found in people.items()},
             "conformsTo": {"@id": PROFILE}, "hasPart": references(list(files)), "mentions": {"@id": "#run"},
         },
+        {"@id": license_id, "@type": "CreativeWork", "name": license, "description": "the license of this crate"},
         {"@id": PROFILE, "@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"},
         {
             "@id": "#run", "@type": "CreateAction", "name": f"run of {record['name']}, seed {record['seed']}",
@@ -167,8 +178,17 @@ def _metadata(
             "softwareRequirements": ", ".join(f"{name} {version}" for name, version in record["versions"].items()),
         },
     ]  # fmt: skip
-    if "author" in notes:
-        graph[1]["author"] = {"@id": "#author"}
-        graph[3]["agent"] = {"@id": "#author"}
-        graph.append({"@id": "#author", "@type": "Person", "name": str(notes["author"])})
-    return {"@context": CONTEXT, "@graph": graph + list(files.values())}
+    if "author" in people:
+        graph[4]["agent"] = graph[1]["author"]
+    named = {one["@id"]: one for found in people.values() for one in found}
+    return {"@context": CONTEXT, "@graph": graph + list(named.values()) + list(files.values())}
+
+
+def _party(role: str, told: Any) -> list[dict[str, Any]]:
+    """A person or an organization of the notes, told by a name or a map, and the organization that it belongs to."""
+    about = dict(told) if isinstance(told, Mapping) else {"name": str(told)}
+    others = _party("affiliation", about["affiliation"]) if about.get("affiliation") else []
+    if others:
+        about["affiliation"] = {"@id": others[0]["@id"]}
+    kind = "Person" if role == "author" else "Organization"
+    return [{"@id": str(about.get("url", f"#{role}")), "@type": kind} | about, *others]

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import sppm_pipeline as sppm
+from sppm_pipeline.engine.api.monitor import SweepProgress, SweepWarnings
+from sppm_pipeline.engine.api.run import Numbers
 from sppm_pipeline.engine.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*changes the radii")  # which are of no concern here
@@ -167,7 +169,17 @@ def test_numbers_that_are_not_there_are_answered_by_those_that_are(capsys):
     with pytest.raises(sppm.ConfigError, match=r"no number 'pores\.por'(.|\n)*pores\.pores"):
         numbers["pores.por"]
     assert "pores.por" not in numbers
+    many = Numbers({f"solid.C.{i}.{j}": 0.0 for i in range(1, 7) for j in range(1, 7)} | {"solid.E.1": 1, "cell.E": 1})
+    for name, told in (
+        ("E", "did you mean 'cell.E' or 'solid.E.1'?"),
+        ("solid.E1", "did you mean 'solid.E.1'?"),
+        ("typo", "known are cell.E, solid.C.1.1, (.*) and 18 more"),
+    ):
+        with pytest.raises(sppm.ConfigError, match=rf"no number '{name}'\n.*{told}"):
+            many[name]
     sweep = pipeline.sweep(seed=range(3)).run(cache=False)
+    with pytest.raises(sppm.ConfigError, match=r"no column 'poress'\n.*did you mean 'pores\.pores'"):
+        sweep.table.numbers("poress")
     with pytest.raises(sppm.ConfigError, match=r"numbers of 3 runs(.|\n)*to_pandas(.|\n)*pores\.pores"):
         _ = sweep.numbers
     assert sweep.table.column("seed") == (0, 1, 2)
@@ -175,9 +187,19 @@ def test_numbers_that_are_not_there_are_answered_by_those_that_are(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_progress_of_a_sweep_is_one_line_that_is_written_again():
-    from sppm_pipeline.engine.api.monitor import SweepProgress
+def test_warnings_of_a_sweep_that_differ_in_numbers_are_told_once():
+    monitor = SweepWarnings()
+    for share in (0.31, 0.12, 0.5):
+        monitor.warning("solid", f"{share} of the solid is loose")
+    monitor.warning(None, "another")
+    with pytest.warns(sppm.SppmWarning) as told:
+        monitor.close()
+    assert [str(one.message) for one in told] == [
+        "another", "solid: 0.12 of the solid is loose (and alike 2 times more in this sweep)",
+    ]  # fmt: skip
 
+
+def test_progress_of_a_sweep_is_one_line_that_is_written_again():
     class Terminal(io.StringIO):
         def isatty(self):
             return True
