@@ -36,7 +36,7 @@ PAPER = {
     "octet": (1.55, 0.09, 0.136), "et_1": (2.17, 0.06, 0.096), "et_2": (1.18, 0.15, 0.068),
     "sppm_1": (0.55, 0.45, 0.230), "sppm_2": (0.44, 0.45, 0.184),
 }  # fmt: skip
-"""Strength in MPa, strain there and work per volume up to there in MJ/m3 (table 3)."""
+"""Strength in MPa, strain there and work per volume up to there in MJ/m3 (table 1)."""
 
 RESIN: dict[str, Any] = {"young": 1404.0, "poisson": 0.45, "yield_stress": 29.0, "stress_unit": "MPa"}
 

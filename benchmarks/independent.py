@@ -1,14 +1,14 @@
 """Results beside those of independent codes, number by number: a CSV file of raw values.
 
     python -m benchmarks.independent FILE.csv [VOXELS [CODE ...]]
-    python -m benchmarks.independent --page docs/explanation/flow.md FILE.csv
+    python -m benchmarks.independent --pages docs/results/independent.csv
 
 The same images of whole voxels go to each code that is installed (`pip install muGrid scikit-fem porespy`): muGrid
 (FFT, stiffness), scikit-fem (an assembled matrix and a direct solver, stiffness and conductivity), CalculiX (`ccx`, the
 same bricks, stiffness), PoreSpy (porosity, local thickness of the void, pores and throats of a network; take 32
 voxels or more). Images are cells of the presets `paper` and `stiff`, VOXELS (16) along an edge. The largest differences
-are printed; with `--page` the rows of PoreSpy make a table of a page. `tests/features/flow/test_write_network.py`
-compares the flow of a network with OpenPNM where that is installed.
+are printed; `--pages` writes the tables of docs/explanation from a file of all codes. `tests/features/flow/
+test_write_network.py` compares the flow of a network with OpenPNM where that is installed.
 """
 
 from __future__ import annotations
@@ -37,6 +37,10 @@ from sppm_pipeline.services.local_thickness import local_thickness
 CELLS = (("paper", 0.5, 1), ("paper", 0.7, 1), ("stiff", 0.7, 1))
 LAM, MU = lame(1.0, 0.3)
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+KINDS = {"C": "stiffness", "k": "conductivity"}
+PAGES = Path(__file__).parents[1] / "docs" / "explanation"
+MARK = "<!-- benchmarks.independent -->\n"
 
 Values = dict[str, float]
 
@@ -252,22 +256,37 @@ def rows(n: int, only: list[str]) -> Iterator[dict[str, Any]]:
                 }  # fmt: skip
 
 
-def write_page(page: Path, path: Path) -> None:
-    """Put the numbers of PoreSpy in a file between the marks of a page, ours first."""
-    lines: dict[str, str] = {}
+def tables(path: Path) -> dict[str, str]:
+    """Tables of a file of raw values by the page that shows them: networks on one page, all other codes on another."""
     with path.open(encoding="utf-8") as file:
-        found = [row for row in csv.DictReader(file) if row["code"] == "porespy"]
-    for row in found:
+        found = list(csv.DictReader(file))
+    void = [row for row in found if row["code"] == "porespy"]
+    names = list(dict.fromkeys(row["quantity"] for row in void))
+    lines: dict[str, str] = {}
+    for row in void:
         start = lines.get(row["cell"], f"| `{row['cell'].split()[0]}`, porosity {row['cell'].split()[1]} |")
         lines[row["cell"]] = f"{start} {float(row['here']):.4g}, {float(row['there']):.4g} |"
-    names = list(dict.fromkeys(row["quantity"] for row in found))
-    head = [
-        f"| cell, {found[0]['voxels']} voxels along an edge | " + " | ".join(names) + " |",
-        "|---" * (len(names) + 1) + "|",
-    ]
-    text, mark = page.read_text(encoding="utf-8"), "<!-- benchmarks.independent -->\n"
-    before, _, after = text.split(mark)
-    page.write_text(before + mark + "\n".join([*head, *lines.values()]) + "\n" + mark + after, encoding="utf-8")
+    networks = [f"| cell, {void[0]['voxels']} voxels along an edge | " + " | ".join(names) + " |", *lines.values()]
+    largest: dict[tuple[str, ...], tuple[float, int]] = {}
+    for row in found:
+        if row["code"] != "porespy":
+            key = (f"{row['code']} {row['version']}", KINDS[row["quantity"].rstrip("123456")], row["voxels"])
+            most, count = largest.get(key, (0.0, 0))
+            largest[key] = max(most, abs(float(row["difference"]))), count + 1
+    others = ["| code | diagonal of | voxels along an edge | numbers | largest difference |"]
+    others += [f"| {' | '.join(key)} | {count} | {most:.1e} |" for key, (most, count) in largest.items()]
+    return {
+        page: "\n".join([rows[0], "|---" * (rows[0].count(" | ") + 1) + "|", *rows[1:]]) + "\n"
+        for page, rows in (("flow.md", networks), ("homogenization.md", others))
+    }
+
+
+def write_pages(path: Path) -> None:
+    """Put the tables between the marks of their pages."""
+    for name, table in tables(path).items():
+        page = PAGES / name
+        before, _, after = page.read_text(encoding="utf-8").split(MARK)
+        page.write_text(before + MARK + table + MARK + after, encoding="utf-8")
 
 
 def main(path: Path, n: int, only: list[str]) -> None:
@@ -289,7 +308,7 @@ def main(path: Path, n: int, only: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "--page":
-        write_page(Path(sys.argv[2]), Path(sys.argv[3]))
+    if sys.argv[1] == "--pages":
+        write_pages(Path(sys.argv[2]))
         sys.exit()
     main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 16, sys.argv[3:])

@@ -9,11 +9,11 @@ All that belongs to a figure or table stands in the map `notes` of its configura
 
 * `figure`, `title`, `paper` (what the paper's panel shows), `panels` (pictures of the run), `differs`;
 * `numbers`: what is compared. Each `says` what it is and takes one `column` of the runs, of all rows or those `where`
-  columns have given values, ``*`` for any ending. `take` is mean (the default), least, largest, deviation (of single
-  draws), relative deviation, largest from mean (of the same value of the column `over`), squared correlation (of these
-  means with `over`), exponent (of the relative deviation over the volume of boxes of `over` cells along an edge) or
-  size for 5 % (the edge where it is 0.05). `paper` is the paper's number or its range, `within` the tolerance, relative
-  to the number or to the end of the range;
+  columns have given values, ``*`` for any ending. `take` is mean (the default), mean reciprocal (0 of rows without a
+  number, which is infinite), least, largest, deviation (of single draws), relative deviation, largest from mean (of
+  the same value of the column `over`), squared correlation (of these means with `over`), exponent (of the relative
+  deviation over the volume of boxes of `over` cells along an edge) or size for 5 % (the edge where it is 0.05). `paper`
+  is the paper's number or its range, `within` the tolerance, relative to the number or to the end of the range;
 * `keep`: columns that are stored beside those that numbers and tables take;
 * `tables`: by the name in a page's mark ``<!-- results: NAME -->``, up to ``<!-- end of results -->``: `rows` and
   `columns`, each with a `head`. A cell takes the column `row.column` of the rows `where` both say; a row may be `from`
@@ -53,8 +53,8 @@ PAGE = ROOT / "docs" / "explanation" / "reproduce-the-paper.md"
 
 PAPER = (
     "paper/kernels", "paper/levels", "paper/regions", "paper/trees", "paper/process", "tileset_27",
-    "paper/worked_example", "porosity_map", "paper/slices", "paper/target_porosity", "periodic_vs_stochastic",
-    "stiffness_map", "paper/assemblies", "representative_volume",
+    "paper/worked_example", "porosity_map", "paper/gap", "paper/slices", "paper/target_porosity",
+    "periodic_vs_stochastic", "stiffness_map", "paper/assemblies", "representative_volume",
     "graded_bar", "table_mesh_free", "paper/table_mesh", "paper/compression",
     "bunny",
 )  # fmt: skip
@@ -66,7 +66,8 @@ DESIGNS = tuple(f"designs/{name}" for name in ("implant_core", "insole", "filter
 OTHERS: tuple[str, ...] = (
     "tables/paper_cell", "tables/stiffest_cells", "tables/tile_rules", "tables/network", "tables/spheres",
     "tables/walls_grid", "tables/struts", "tables/onset", "tables/volume", "tables/conduction",
-    "tables/stiffest_density", "how_random", "stiffest_grid", *DESIGNS,
+    "tables/stiffest_density", "how_random", "stiffest_grid", "tables/scattered_even", "compare_structures",
+    *DESIGNS,
 )  # fmt: skip
 """Further configurations whose results are stored, for tables of other pages."""
 
@@ -299,15 +300,20 @@ def significant(value: Any) -> Any:
 # numbers
 
 
-def chosen(rows: Sequence[Mapping[str, Any]], column: str, where: Mapping[str, Any]) -> list[float]:
-    """Values of a column in the rows where others have given values."""
+def rows_where(rows: Sequence[Mapping[str, Any]], where: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Rows in which columns have given values."""
 
     def fits(value: Any, wanted: Any) -> bool:
         if isinstance(wanted, str) and wanted.endswith("*"):
             return str(value).startswith(wanted[:-1])
         return bool(value == wanted)
 
-    found = [row[column] for row in rows if column in row and all(fits(row.get(key), v) for key, v in where.items())]
+    return [row for row in rows if all(fits(row.get(key), v) for key, v in where.items())]
+
+
+def chosen(rows: Sequence[Mapping[str, Any]], column: str, where: Mapping[str, Any]) -> list[float]:
+    """Values of a column in the rows where others have given values."""
+    found = [row[column] for row in rows_where(rows, where) if column in row]
     if not found:
         raise ValueError(f"no row has {column!r} where {dict(where)}")
     return [float(value) for value in found]
@@ -325,6 +331,9 @@ def measured(rows: Sequence[Mapping[str, Any]], entry: Mapping[str, Any]) -> Mea
     """A number of the notes."""
     values = chosen(rows, entry["column"], entry.get("where", {}))
     n, take = len(values), entry.get("take", "mean")
+    if take == "mean reciprocal":
+        every = [row.get(entry["column"], math.inf) for row in rows_where(rows, entry["where"])]
+        return measured([{"inverse": 1 / value} for value in every], {"column": "inverse"})
     mean = math.fsum(values) / n
     deviation = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (n - 1)) if n > 1 else 0.0
     if take in ("exponent", "size for 5 %"):

@@ -6,6 +6,7 @@ If a page is stale, run ``python docs/generate_paper.py``; if a number has moved
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -14,6 +15,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import sppm_pipeline as sppm
+from benchmarks import independent
 from tests.docs.conftest import ROOT, script
 
 generator = script("generate_paper")
@@ -76,6 +79,7 @@ ROWS = [{"n": n, "kind": k, "y": y} for n, k, y in ((1, "a_x", 1.0), (1, "a_y", 
         ({"take": "relative deviation", "where": {"n": 1}}, 2.0**-0.5, None),
         ({"take": "largest from mean", "over": "n"}, 2.0, None),
         ({"over": "n"}, 2.5, 0.645497),
+        ({"take": "mean reciprocal", "where": {"n": 1}}, 2 / 3, 1 / 3),
     ],
 )
 def test_numbers_of_rows(entry: dict, value: float, error: float | None) -> None:
@@ -136,6 +140,24 @@ def test_a_number_that_moves_is_noticed(tmp_path: Path, monkeypatch: pytest.Monk
     assert changed.differences(name, tmp_path) == ["paper/worked_example, row 0: scores.T3 is 11, 12 is stored"]
 
 
+def test_no_one_factor_on_the_solid_gives_all_strengths_of_the_paper():
+    """What docs/explanation/crushing.md says of solids that differ by a factor in all their stresses."""
+    rows = generator.stored("paper/compression").rows
+    entries = [entry for entry in generator.notes_of("paper/compression")["numbers"] if "paper" in entry]
+    ratios = {
+        entry["says"]: generator.measured(rows, entry).value / entry["paper"]
+        for entry in entries if entry["says"].startswith(("strength", "mean stress"))
+    }  # fmt: skip
+    strengths = {says: ratio for says, ratio in ratios.items() if says.startswith("strength")}
+    agree = [{says for says, ratio in strengths.items() if abs(f * ratio - 1) <= 0.3} for f in np.arange(0.2, 3, 0.005)]
+    assert max(map(len, agree)) == 7
+    for factor in (0.6, 0.62, 0.65):
+        missed = [says for says, ratio in strengths.items() if abs(factor * ratio - 1) > 0.3]
+        assert missed == ["strength of ET-1 / MPa"], factor
+    means = [0.62 * ratio for says, ratio in ratios.items() if says.startswith("mean stress")]
+    assert means == pytest.approx([0.53, 0.73], abs=0.005)
+
+
 def test_the_article_quotes_numbers_of_the_tables():
     """Each number with an error bar, and each with three digits behind the point, stands on a page of results."""
     article = (ROOT / "docs" / "paper" / "paper.md").read_text(encoding="utf-8").partition("# Functionality")[2]
@@ -147,3 +169,18 @@ def test_the_article_quotes_numbers_of_the_tables():
     cited = set(re.findall(r"@(\w+)", (ROOT / "docs" / "paper" / "paper.md").read_text(encoding="utf-8")))
     known = set(re.findall(r"@\w+\{(\w+),", (ROOT / "docs" / "paper" / "paper.bib").read_text(encoding="utf-8")))
     assert cited == known
+
+
+@pytest.mark.filterwarnings("ignore::sppm_pipeline.SppmWarning")  # images are coarse, as they are for the other codes
+def test_tables_beside_independent_codes_are_those_of_their_file():
+    """Both pages show it, and our numbers in it come out again."""
+    path = ROOT / "docs" / "results" / "independent.csv"
+    for page, table in independent.tables(path).items():
+        assert independent.MARK + table + independent.MARK in (independent.PAGES / page).read_text(encoding="utf-8")
+    with path.open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["cell"] == "paper 0.7 seed 1"]
+    field = sppm.cell("paper", porosity=0.7, seed=1)
+    for voxels, compute in (("16", independent.ours), ("32", independent.ours_of_void)):
+        own = compute(np.ascontiguousarray(field.voxels(int(voxels)).values.T > 0))
+        stored = {row["quantity"]: float(row["here"]) for row in rows if row["voxels"] == voxels}
+        assert own == pytest.approx(stored, rel=1e-6), voxels

@@ -23,6 +23,10 @@ class PorosityLine(NamedTuple):
     n_max: int
     samples: int
 
+    def reaches(self, porosity: float) -> bool:
+        """Whether a porosity is in the range that was fitted, or off it by at most half a pore."""
+        return self.n_min - 0.5 <= (porosity - self.intercept) / self.slope <= self.n_max + 0.5
+
 
 def fit_line(n: ArrayLike, porosity: ArrayLike) -> PorosityLine:
     """Fit the line by least squares to numbers of pores (m,) and porosities (m,).
@@ -70,8 +74,7 @@ def count_for_porosity(line: PorosityLine, porosity: float) -> int:
 
     A target off that range by more than half a pore is a DesignError that names the porosities within reach.
     """
-    n = (porosity - line.intercept) / line.slope
-    if not line.n_min - 0.5 <= n <= line.n_max + 0.5:
+    if not line.reaches(porosity):
         low, high = predict_porosity(line, line.n_min), predict_porosity(line, line.n_max)
         raise DesignError(
             f"a porosity of {porosity:g} is outside of what the line was fitted to: "
@@ -79,4 +82,4 @@ def count_for_porosity(line: PorosityLine, porosity: float) -> int:
             hint="choose a porosity in that range, fit a wider range of n, or change the radii",
         )
     # half a pore beyond the ends rounds back onto them
-    return min(max(round(n), line.n_min), line.n_max)
+    return min(max(round((porosity - line.intercept) / line.slope), line.n_min), line.n_max)

@@ -136,7 +136,7 @@ class TunePorosity(Stage):
 
     def _fitted_count(self, context: Context, recipe: Recipe) -> Options:
         """The number of pores at which the fitted line meets the target, as options of the recipe."""
-        from sppm_pipeline.method.porosity.line import count_for_porosity, fit_line
+        from sppm_pipeline.method.porosity.line import PorosityLine, count_for_porosity, fit_line, predict_porosity
 
         stages = [i for i, values in recipe.options().items() if values.get("total") is not None]
         if not stages:
@@ -163,16 +163,22 @@ class TunePorosity(Stage):
 
         for factor in (0.5, 0.75, 1.0, 1.5, 2.0):
             probe(max(4, round(start * factor)))
+
+        def nearest() -> PorosityLine:
+            """The line through the three numbers of pores whose porosity is nearest to the target."""
+            # far from the target porosity saturates and bends the line away
+            order = np.unique(counts)
+            mean = np.array([np.mean([p for n, p in zip(counts, porosities, strict=True) if n == c]) for c in order])
+            used = np.isin(counts, order[np.argsort(np.abs(mean - self.target), kind="stable")[:3]])
+            return fit_line(np.array(counts)[used], np.array(porosities)[used])
+
         for _ in range(6):  # the line is trusted only between its points
-            low, high = min(porosities), max(porosities)
-            if low <= self.target <= high:
+            line = nearest() if min(porosities) <= self.target <= max(porosities) else None
+            if line is not None and line.reaches(self.target):
                 break
-            probe(max(4, min(counts) // 2) if self.target < low else max(counts) * 3 // 2)
-        # far from the target porosity saturates and bends the line away
-        order = np.unique(counts)
-        mean = np.array([np.mean([p for n, p in zip(counts, porosities, strict=True) if n == c]) for c in order])
-        used = np.isin(counts, order[np.argsort(np.abs(mean - self.target), kind="stable")[:3]])
-        line = fit_line(np.array(counts)[used], np.array(porosities)[used])
+            lowest = min(porosities) if line is None else predict_porosity(line, line.n_min)
+            probe(max(4, min(counts) // 2) if self.target < lowest else max(counts) * 3 // 2)
+        line = nearest()
         n = count_for_porosity(line, self.target)
         context.report(count=n, line=line._asdict())
         return {stage: {"total": n} for stage in stages}

@@ -76,10 +76,13 @@ def of_the_paper(total=66, **field):
     )
 
 
-@pytest.mark.parametrize("target", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("target", [0.3, 0.425, 0.7])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_count_and_gap_meet_the_target_as_in_the_paper(target, seed):
-    """A cell that steps over the target gives way to others: the first cell alone meets 7 of 18 (6 seeds)."""
+    """A cell that steps over the target gives way to others: the first cell alone meets 7 of 18 (6 seeds).
+
+    At 0.425 the first probes enclose the target, but the line through the three nearest does not reach it.
+    """
     context = PlainContext(seed)
     stage = TunePorosity(target=target, by="gap", fit_count=True, trials=2, resolution=40)
     micro = stage.run(context, of_the_paper())
