@@ -142,13 +142,13 @@ def test_a_resolved_part_balances_and_is_written(part, tmp_path):
 
 def test_a_part_is_as_stiff_as_without_its_stubs(monkeypatch):
     """A stub in the middle of the face: loaded, it adds its own compliance and iterations, but neither with its force
-    on the rest of the face, which then is that of a part without it to the last digits of single precision."""
+    on the rest of the face, where the part is as stiff as without it, up to rounding."""
     solid = np.zeros((20, 20, 20), bool)
-    solid[:4] = solid[12:17, :5] = solid[12:17, 15:] = True
+    solid[:12] = True
     for y, x in product((0, 15), (0, 15)):
         solid[:, y : y + 5, x : x + 5] = True
     bare, moduli = solid.copy(), np.full(solid.shape, MU, np.float32)
-    solid[4:19, 9, 9] = solid[19, 9:11, 9:11] = True
+    solid[12:19, 9, 9] = solid[19, 9:11, 9:11] = True
     block = SurfaceMesh(*box_mesh((10.0, 10.0, 10.0), (20.0, 20.0, 20.0)))
     stage = AddLoadCase(force=("0 0.1 -1 N on plane z at high",), fix=("plane z at low",))
     cases, found = stage.run(PlainContext(), block, None), []
@@ -157,10 +157,10 @@ def test_a_part_is_as_stiff_as_without_its_stubs(monkeypatch):
         voxels = VoxelBody(body, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
         found.append(solve(Model(voxels, moduli * body, LAM / MU, body.astype(np.float32)), cases).cases["load"])
     made, without, loaded = found
-    assert made["compliance"] == pytest.approx(without["compliance"], rel=1e-5)
-    assert made["compliance"] < 0.99 * loaded["compliance"]
+    assert made["compliance"] == pytest.approx(without["compliance"], rel=1e-4)
+    assert made["compliance"] < 0.7 * loaded["compliance"]
     assert made["iterations"] < loaded["iterations"]
-    assert made["reaction"] == pytest.approx(loaded["reaction"], abs=1e-4)
+    assert made["reaction"] == pytest.approx(loaded["reaction"], abs=1e-3)
 
 
 def test_a_solid_block_is_pulled_as_a_bar():

@@ -81,7 +81,7 @@ class SimulatePart(LoadedPart):
         0.08, help="depth below a surface without skin that bears nothing in a homogenized part: cells are cut there",
         unit="cell size", minimum=0, maximum=0.5,
     )  # fmt: skip
-    solver_tolerance: float = option(1e-4, help="relative error of the result left by the solver, estimated; of the "
+    solver_tolerance: float = option(1e-3, help="relative error of the result left by the solver, estimated; of the "
                                      "compliance", minimum=1e-10, maximum=0.01)  # fmt: skip
     yield_stress: float | None = option(None, help="yield stress of the solid, MPa, for a safety factor", above=0,
                                         maximum=1e15)  # fmt: skip
