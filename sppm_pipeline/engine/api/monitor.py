@@ -45,7 +45,7 @@ class WarningMonitor(Monitor):
 
 
 class SweepWarnings(WarningMonitor):
-    """The warnings of the runs of a sweep, each kind told once at its end: those that differ in numbers are one."""
+    """The warnings of the runs of a sweep, each kind shown once at its end: those that differ in numbers are one."""
 
     def __init__(self) -> None:
         super().__init__()

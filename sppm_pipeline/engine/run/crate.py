@@ -184,9 +184,9 @@ def _metadata(
     return {"@context": CONTEXT, "@graph": graph + list(named.values()) + list(files.values())}
 
 
-def _party(role: str, told: Any) -> list[dict[str, Any]]:
-    """A person or an organization of the notes, told by a name or a map, and the organization that it belongs to."""
-    about = dict(told) if isinstance(told, Mapping) else {"name": str(told)}
+def _party(role: str, value: Any) -> list[dict[str, Any]]:
+    """A person or an organization of the notes, by its name or as a map, and the organization that it belongs to."""
+    about = dict(value) if isinstance(value, Mapping) else {"name": str(value)}
     others = _party("affiliation", about["affiliation"]) if about.get("affiliation") else []
     if others:
         about["affiliation"] = {"@id": others[0]["@id"]}
