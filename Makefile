@@ -4,6 +4,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 # Python compiles what it imports, a tenth
 PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
+# else each of the hundreds of processes that tests start compiles what it imports, and `sppm check` takes 1.6 s, not .4
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: quickstart test coverage test-oldest docs paper lock clean
 
@@ -15,11 +17,12 @@ quickstart: $(VENV)/.installed  ## set up and run the main job; results are in r
 test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports
-	@echo "== checking types, on one processor and for a minute, beside the tests"
+	@echo "== checking types, on one processor and for a minute, beside all that follows"
 	@$(BIN)/mypy >$(VENV)/types.txt 2>&1 & types=$$!; \
+	$(BIN)/lint-imports; imports=$$?; \
+	$(BIN)/python -m pytest -qqq --collect-only >/dev/null; : what all processes import is compiled once; \
 	$(BIN)/python -m pytest -n auto --dist loadfile; tests=$$?; \
-	wait $$types; types=$$?; cat $(VENV)/types.txt; test $$tests -eq 0 -a $$types -eq 0
+	wait $$types; types=$$?; cat $(VENV)/types.txt; test $$imports -eq 0 -a $$tests -eq 0 -a $$types -eq 0
 
 coverage: $(VENV)/.installed-tests  ## the share of lines that tests reach; TESTS="tests/method tests/engine" for some
 	$(BIN)/pip install --quiet "coverage>=7.10"
