@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import types
 
 import pytest
 
 from sppm_pipeline.engine.plan import installed
-from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.plugins import import_file, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
@@ -287,3 +288,14 @@ def test_a_name_is_looked_up_in_files_as_they_were_loaded(work):
     write(work, "def broken(:")
     with pytest.raises(ConfigError, match="there is no stage"):
         registry.get("qqqq.zzzz")
+
+
+def test_a_file_that_is_changed_twice_within_a_second_is_read_again(tmp_path, monkeypatch):
+    """Python takes bytecode that it kept for that of a file with the same second and size."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    path = tmp_path / "mine.py"
+    for number in (1, 2):
+        path.write_text(f"NUMBER = {number}\n", encoding="utf-8")
+        os.utime(path, (0, 0))
+        assert number == import_file(path).NUMBER
+    assert list(tmp_path.iterdir()) == [path]

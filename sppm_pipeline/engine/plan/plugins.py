@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import importlib.machinery
 import importlib.util
 import inspect
 import os
@@ -12,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import pluggy
@@ -348,22 +349,31 @@ _SINGLE = "sppm_plugin_"
 """Prefix of the names of modules that are single files."""
 
 
+class _AsItIs(importlib.machinery.SourceFileLoader):
+    """Runs what a file says now: bytecode that was kept counts as that of a file changed within the same second."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def import_file(path: Path) -> ModuleType:
     """Import a single file under a name of its own, once for each content; runs of a sweep may ask at the same time."""
     if not path.is_file():
         raise PluginError(f"there is no plugin file {str(path)!r}")
     digest = hashlib.sha256(str(path.resolve()).encode() + b"\0" + path.read_bytes()).hexdigest()[:16]
     name = f"{_SINGLE}{path.stem}_{digest}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if path.suffix != ".py":
         raise PluginError(f"a plugin file must end in .py, got {str(path)!r}")
+    loader = _AsItIs(name, str(path))
+    spec = importlib.machinery.ModuleSpec(name, loader, origin=str(path))
+    spec.has_location = True
     with _IMPORTING:
         if name in sys.modules:
             return sys.modules[name]
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module  # dataclasses look their module up there
         try:
-            spec.loader.exec_module(module)
+            loader.exec_module(module)
         except BaseException as error:
             del sys.modules[name]
             if not isinstance(error, Exception):
