@@ -257,7 +257,11 @@ EXAMPLES: Mapping[str, Small] = {
         tested.image_size=[200, 150]; load.case.image_size=[200, 150]""",
     ),
     "crush": _small("", "tune.porosity.resolution=24; crush.voxel.resolution=10; crush.voxel.rate=0.05", plugins=True),
-    "elbow": _small("", f"tune.local_porosity.resolution=20; {_VIEW}"),
+    "elbow": _small(
+        "",
+        f"""tile.hexahedra.resolution=12; tile.hexahedra.trials=1; tile.hexahedra.rounds=1;
+        tune.local_porosity.resolution=20; {_VIEW}""",
+    ),
     "finer_pores": _small("", f"tile.scattered.resolution=10; {_VIEW}"),
     "flow": _small("", "homogenize.permeability.resolution=16"),
     "foam_ball": _small("", _VIEW, plugins=True),
@@ -304,7 +308,11 @@ EXAMPLES: Mapping[str, Small] = {
     "regions": _small("", f"coarse.resolution=12; fine.resolution=12; {_VIEW}"),
     "two_sets": _small("", f"coarse.resolution=16; fine.resolution=16; tile.joined.resolution=12; {_VIEW}"),
     "walls_cell": _small("", f"tune.porosity.resolution=24; homogenize.voxel.resolution=16; {_VIEW}"),
-    "wang_tiles": _small("", f"tileset.wang_3color.resolution=16; tileset.wang_3color.tolerance=0.02; {_VIEW}"),
+    "wang_tiles": _small(
+        "",
+        f"""tileset.wang_3color.colors=2; tileset.wang_3color.resolution=16; tileset.wang_3color.tolerance=0.02;
+        {_VIEW}""",
+    ),
 }
 """Those in ``examples/`` by name."""
 
