@@ -1,7 +1,7 @@
 """Twins of scans: what `tune.match` finds for each, number by number, as a CSV table.
 
     python -m benchmarks.twins FILE.csv [SCAN[@THRESHOLD] ...] [--draws N] [--evaluations N] [--seeds N]
-        [--only WORD]
+        [--only WORD] [--match KIND ...]
     python -m benchmarks.twins --page docs/features/scans.md FILE.csv [FILE.csv ...]
 
 SCAN is a gray image, .npy or .npz with one array (x, y, z); Otsu's threshold is taken if none is given. Two images are
@@ -31,7 +31,14 @@ from sppm_pipeline.features.scans.image_field import ImageField
 from sppm_pipeline.features.scans.numerics.statistics import configurations, fabric
 from sppm_pipeline.features.scans.numerics.stretching import matrix_of, stretch_of, stretched
 from sppm_pipeline.features.scans.stages.measure_statistics import MeasureStatistics
-from sppm_pipeline.features.scans.stages.tune_match import Look, TuneMatch, differences, properties_of
+from sppm_pipeline.features.scans.stages.tune_match import (
+    KINDS,
+    PROPERTIES,
+    Look,
+    TuneMatch,
+    differences,
+    properties_of,
+)
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.features.stiffness.stages.tune_tensor import TuneTensor
 from sppm_pipeline.features.walls.stages.field_walls import WallsField
@@ -153,7 +160,9 @@ def scans(paths: list[str]) -> list[tuple[str, int, ScalarField]]:
     ]  # fmt: skip
 
 
-def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seed: int) -> tuple[Any, Any]:
+def matched(
+    name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seed: int, kinds: tuple[str, ...]
+) -> tuple[Any, Any]:
     """The twin, and quantities by name."""
     context = PlainContext(seed)
     mapping: dict[str, Any] = {}
@@ -164,7 +173,8 @@ def matched(name: str, scan: ScalarField, n: int, draws: int, evaluations: int, 
     # the level that meets the porosity makes up for radii that are all larger: of pores and tunnels one is known
     twin = TuneMatch(
         vary=tuple(varied), low=tuple(a for a, _ in varied.values()), high=tuple(b for _, b in varied.values()),
-        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, **mapping,
+        starts=evaluations // 2, evaluations=evaluations, draws=draws, resolution=n, match=kinds,
+        **mapping,
     ).run(context, recipe(), scan)  # fmt: skip
     found = context.reported
     quantities = quantities_of(found) | {kind: found["held_out"][kind] for kind in ("permeability", "stiffness")}
@@ -185,11 +195,12 @@ def row(name: str, quantity: str, value: float, error: float | str) -> dict[str,
 
 
 def rows(
-    name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seeds: int
+    name: str, scan: ScalarField, n: int, draws: int, evaluations: int, seeds: int, kinds: tuple[str, ...]
 ) -> tuple[ScalarField, list[dict[str, Any]]]:
     """A twin, and a row for each number."""
-    found = [matched(name, scan, n, draws, evaluations, seed) for seed in range(1, seeds + 1)]
-    return found[0][0], rows_of(name, [one[1] for one in found])
+    found = [matched(name, scan, n, draws, evaluations, seed, kinds) for seed in range(1, seeds + 1)]
+    further = [kind for kind in PROPERTIES if kind in kinds]
+    return found[0][0], rows_of(", ".join([name, *further]), [one[1] for one in found])
 
 
 def rows_of(name: str, found: list[dict[str, float]]) -> list[dict[str, Any]]:
@@ -307,6 +318,7 @@ def main() -> None:
     parser.add_argument("--tensor", type=Path, help="a file whose twins go on to `tune.tensor`, by the options in it")
     parser.add_argument("--others", type=int, default=0, help="other draws of the foam, compared with it, no twins")
     parser.add_argument("--page", type=Path, help="a page whose table is made of the files instead")
+    parser.add_argument("--match", nargs="+", default=["S2", "chords", "thickness"], choices=KINDS)
     parser.add_argument("--only", help="a scan, or part of the names of those that are taken")
     args = parser.parse_args()
     if args.page:
@@ -324,7 +336,7 @@ def main() -> None:
                     lines = [one for one in csv.DictReader(earlier) if one["scan"] == name and not one["wanted"]]
                 found = with_tensor(name, scan, n, {one["quantity"]: float(one["difference"]) for one in lines})
             else:
-                twin, found = rows(name, scan, n, args.draws, args.evaluations, args.seeds)
+                twin, found = rows(name, scan, n, args.draws, args.evaluations, args.seeds, tuple(args.match))
             if name.startswith(("own", "foam")) and not args.tensor and not args.others:
                 draw(scan, twin, args.file.with_name(f"{args.file.stem}-{name.split(',')[0].split()[0]}.png"))
             for one in found:

@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline import Voxels
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.scans.image_field import ImageField
 from sppm_pipeline.features.scans.numerics.statistics import configurations, fabric
 from sppm_pipeline.features.scans.numerics.stretching import matrix_of, stretch_of, stretched
-from sppm_pipeline.features.scans.stages.tune_match import KINDS, Look, TuneMatch, differences, distance
+from sppm_pipeline.features.scans.stages.tune_match import (
+    KINDS,
+    PROPERTIES,
+    Look,
+    TuneMatch,
+    differences,
+    distance,
+    properties_of,
+)
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.method.stages.field_gaussian import GaussianField
 from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
@@ -71,9 +80,27 @@ def test_what_is_not_matched_is_measured():
     assert context.reported["held_out"]["stiffness"] == pytest.approx(ratio - 1)
 
 
+def test_properties_are_matched_where_they_are_asked_for():
+    few = {"starts": 3, "evaluations": 3, "low": (14.0,), "high": (34.0,), "resolution": 24}
+    off = {}
+    for match in (("S2",), ("S2", *PROPERTIES)):
+        made, context = matched(scan_of(20, 24), match=match, **few)
+        images = (scan_of(20, 24).sample(24) < 0, made.sample(24) < 0)
+        of = [properties_of(context, Voxels.from_array(image, spacing=1 / 24, periodic=True)) for image in images]
+        off[match] = np.array([np.log(of[1][kind] / of[0][kind]) for kind in PROPERTIES])
+    S2 = distance(*(Look.at(image, True, 6) for image in images), ("S2",))
+    # that of the nearest trial is made of what was measured on voxels
+    assert context.reported["distance"] == pytest.approx(np.sqrt(np.mean([S2**2, *off[match] ** 2])), rel=1e-3)
+    assert np.linalg.norm(off[match]) < np.linalg.norm(off["S2",])
+    blocked = np.ones((24, 24, 24), bool)
+    blocked[4:8] = blocked[:, 4:8] = blocked[:, :, 4:8] = False
+    with pytest.raises(DesignError, match="has no stiffness that could be matched"):
+        matched(Voxels.from_array(blocked, spacing=1 / 24, periodic=True), match=("stiffness",), **few)
+
+
 def test_the_distance_is_zero_for_the_same_and_grows_with_the_size_of_balls():
     looks = [Look.at(spheres(48, radius, 0.4, seed=1), True, 12) for radius in (4, 4.5, 6)]
-    for kind in KINDS:
+    for kind in set(KINDS) - set(PROPERTIES):
         assert distance(looks[0], looks[0], (kind,)) == 0
     near, far = (distance(looks[0], look, ("S2", "chords", "thickness")) for look in looks[1:])
     assert 0 < near < far < 1
