@@ -20,7 +20,7 @@ DEPTH = 1.5
 
 SLENDER = 3.0
 """Elongation of what carries an island, over that of a prism below it, from which on the island is a stub. On a cube of
-8^3 cells at porosity .7 it is 0.8 in the median of some 150 struts, at 16 and 32 voxels a cell; the next ones to the
+8^3 cells at porosity 0.7 it is 0.8 in the median of some 150 struts, at 16 and 32 voxels a cell; the next ones to the
 stubs, which have 4.2 to 14, have 2.8 and 2.5."""
 
 MAX_STUBS = 0.05
