@@ -6,6 +6,7 @@ or from the rows of the package's data file.
     python -m benchmarks.atlas ROWS.csv --verify 5                             # run rows again, compare their digests
     python -m benchmarks.atlas FRESH.csv --first 1000 --designs 8 --minutes 5  # fresh designs ...
     python -m benchmarks.atlas FRESH.csv --coverage                            # ... and how many lie in the bands
+    python -m benchmarks.atlas FRESH.csv --page docs/howto/find-a-design.md    # the table of the page
 
 `--designs` is the number of each family; they fill its ranges evenly, as points of an additive recurrence, so that more
 designs leave those that are there as they are.
@@ -37,6 +38,8 @@ from sppm_pipeline.features.design.atlas import (
     spread,
     versions,
 )
+
+MARK = "<!-- benchmarks.atlas -->"
 
 COLUMNS = ("family", "number", "draw", *PROPERTIES, "digest", "versions")
 
@@ -79,6 +82,7 @@ def main() -> None:
     parser.add_argument("--build", action="store_true")
     parser.add_argument("--verify", type=int, default=0)
     parser.add_argument("--coverage", action="store_true")
+    parser.add_argument("--page", type=Path)
     args = parser.parse_args()
     if not (args.rows.exists() or args.first):
         exported(args.rows)
@@ -96,8 +100,14 @@ def main() -> None:
         for k in random.Random(1).sample(range(len(rows)), args.verify):
             again = digest_of(measured(*designs[k]))
             print(*designs[k], "the same" if again == rows[k]["digest"] else f"NOT the same: {again}", flush=True)
+    elif args.page:
+        before, _, after = args.page.read_text(encoding="utf-8").split(MARK)
+        args.page.write_text(f"{before}{MARK}\n{words_of(rows)}\n{MARK}{after}", encoding="utf-8")
     elif args.coverage:
-        coverage(rows, designs)
+        for name, own in [(f, [row for row in rows if row["family"] == f]) for f in FAMILIES] + [("all", rows)]:
+            found = coverage(own)
+            shares = (f"{key} {share:.2f}" for key, share in zip(PROPERTIES, found.mean(0), strict=True))
+            print(f"{name}, {len(found)} draws: {found.mean():.3f};", ", ".join(shares))
     else:
         swept(args, set(designs))
 
@@ -144,19 +154,40 @@ def swept(args: argparse.Namespace, known: set[tuple[str, int, int]]) -> None:
     print(f"done: {len(known)} draws")
 
 
-def coverage(rows: list[dict[str, str]], designs: list[tuple[str, int, int]]) -> None:
-    """Share of fresh draws inside of the bands of each property."""
+def coverage(rows: list[dict[str, str]]) -> np.ndarray:
+    """Whether fresh draws lie in the bands, (draws, properties); those that could not be made are left out."""
     atlas = Atlas.read()
     inside = []
-    for design, row in zip(designs, rows, strict=True):
+    for row in rows:
         draw = np.array([float(row[name]) for name in PROPERTIES])
         if np.isfinite(np.log(draw)).all():
-            low, high = atlas.band(design[0], values_of(*design[:2]))
+            low, high = atlas.band(row["family"], values_of(row["family"], int(row["number"])))
             inside.append((low <= draw) & (draw <= high))
-    print(f"{len(inside)} fresh draws")
-    for name, share in zip(PROPERTIES, np.mean(inside, 0), strict=True):
-        print(f"{name}: {share:.3f}")
-    print(f"all: {np.mean(inside):.3f}")
+    return np.array(inside)
+
+
+SHOWN = ("E_relative", "E_ratio", "permeability", "surface", "strut", "strut_thinnest", "pore")
+
+
+def words_of(rows: list[dict[str, str]]) -> str:
+    """The table of the page: draws and half widths of bands of each family, and the coverage of fresh draws."""
+    atlas = Atlas.read()
+    words = ["| family | designs | draws | " + " | ".join(f"`{name}`" for name in SHOWN) + " |", "|---" * 10 + "|"]
+    for family, (_, ranges) in FAMILIES.items():
+        half = atlas.logs(family, spread(1, len(ranges)))[1]
+        bands = (f"{100 * (np.exp(half[PROPERTIES.index(name)]) - 1):.0f}" for name in SHOWN)
+        numbers = atlas.arrays[f"{family}.number"]
+        words.append(f"| `{family}` | {len(set(numbers))} | {len(numbers)} | " + " | ".join(bands) + " |")
+    found = coverage(rows)
+    shares = dict(zip(PROPERTIES, found.mean(0), strict=True))
+    (low, least), *_, (high, most) = sorted((share, name) for name, share in shares.items())
+    mean, error = 100 * found.mean(), 100 * found.mean(1).std() / len(found) ** 0.5
+    words.append("")
+    words.append(
+        f"Of {len(found)} fresh draws, of designs that are not in the atlas, {mean:.1f} ± {error:.1f} % of the"
+    )
+    words.append(f"numbers lay in the bands, from {100 * low:.0f} % for `{least}` to {100 * high:.0f} % for `{most}`.")
+    return "\n".join(words)
 
 
 if __name__ == "__main__":

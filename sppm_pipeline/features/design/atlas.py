@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sppm_pipeline.built_in import PLUGIN_OF, install_words
+from sppm_pipeline.engine.api.registering import registry
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.length import parse_length
 from sppm_pipeline.services.arrays import F64
@@ -118,24 +120,39 @@ FAMILIES: Mapping[str, Family] = {
     "walls": Family((EVEN, JOINED, WALLS), {POROSITY: (0.5, 0.9), "hole": (0.1, 0.4), "struts": (0.0, 0.8)}),
     "thrown_walls": Family((DARTS, JOINED, WALLS), {POROSITY: (0.5, 0.88), "hole": (0.1, 0.4), "struts": (0.0, 0.6)}),
     "sheet": Family((EVEN, "{stage: field.sheet, balance: BALANCE}"), {POROSITY: (0.5, 0.75), "balance": (0.35, 0.5)}),
+    "foam": Family(
+        (EVEN, "{stage: field.voronoi_foam, form: open, blend: BLEND}"), {POROSITY: (0.6, 0.93), "blend": (0.02, 0.2)}
+    ),
+    "spinodoid": Family(
+        ("{stage: field.spinodoid, wavenumber: WAVES, shell: 0.5, cones: [CONE, CONE, CONE]}",),
+        {POROSITY: (0.45, 0.75), "cone": (25, 60)},
+    ),
 }
+"""Families; a spinodoid has a wave for the mean distance of pores, and equal cones in degrees about all axes."""
 
 PORE = 0.44
 """Radius of the paper's pores, in mean distances of pores: that of 95 pores of omega 30 at level 0.25 in a cell of edge
 2. Tuning the porosity changes it, and the tunnels with it."""
 
 
+LENGTHS_OF_RECIPES = ("tunnel", "hole", "blend")
+"""Parameters that are kept in mean distances of pores."""
+
+
 def configuration(name: str, family: str, values: Mapping[str, float], total: int = PORES, cell: str = "") -> str:
     """A configuration that makes one cell of a design and measures what the atlas holds."""
+    plugins = {PLUGIN_OF[stage] for stage in stages_of(family) if stage in PLUGIN_OF}
+    needs = "".join(f"# needs {install_words(plugin)}\n" for plugin in sorted(plugins))
     length = total ** (-1 / 3)
-    words = {"TOTAL": f"{total}, edge: {cell}" if cell else str(total), "PORE": f"{PORE * length:.6g}"}
+    edge = f", edge: {cell}" if cell else ""
+    words = {"TOTAL": f"{total}{edge}", "PORE": f"{PORE * length:.6g}", "WAVES": f"{1 / length:.6g}{edge}"}
     for word, value in values.items():
-        words[word.upper()] = f"{value * length if word in ('tunnel', 'hole') else value:.6g}"
+        words[word.upper()] = f"{value * length if word in LENGTHS_OF_RECIPES else value:.6g}"
     stages = "\n".join(f"    - {line}" for line in FAMILIES[family].stages)
     for word, text in words.items():
         stages = stages.replace(word, text)
     n, source = round(RESOLUTION * (total / PORES) ** (1 / 3)), "from: tune.porosity"
-    return f"""sppm: 1
+    return f"""{needs}sppm: 1
 name: {name}
 recipes:
   cell:
@@ -210,12 +227,15 @@ def digest_of(values: Sequence[float] | F64) -> str:
     return hashlib.sha256(np.asarray(values, "<f4").tobytes()).hexdigest()[:16]
 
 
+def stages_of(family: str) -> list[str]:
+    """Names of the stages of a family's recipe."""
+    return re.findall(r"stage: ([\w.]+)", " ".join(FAMILIES[family].stages))
+
+
 def versions(family: str) -> str:
     """Versions of the stages that make and measure a family, by which rows are known that others made."""
-    from sppm_pipeline.built_in import stage_class
-
-    made = re.findall(r"stage: ([\w.]+)", " ".join(FAMILIES[family].stages))
-    return " ".join(f"{name}={stage_class(name).version}" for name in (*made, *MEASURED))
+    known = registry()
+    return " ".join(f"{name}={known.get(name).version}" for name in (*stages_of(family), *MEASURED))
 
 
 def spread(count: int, axes: int) -> F64:
