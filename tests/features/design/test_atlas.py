@@ -101,6 +101,13 @@ def test_designs_meet_the_conditions_and_differ():
     assert len({(one.family, *one.parameters.values()) for one in found}) == len(found)
 
 
+def test_a_design_of_a_plugin_says_what_it_needs():
+    for family in FAMILIES:
+        text = configuration("one", family, {name: a for name, (a, _) in FAMILIES[family].ranges.items()}, cell="4 mm")
+        assert ("pip install" in text) == (family in ("foam", "spinodoid"))
+        assert "edge: 4 mm" in text
+
+
 def test_twice_the_cell_has_twice_the_lengths():
     small, large = (sppm.find(QUERY, cell=cell, maximize="E_relative")[0] for cell in ("3 mm", "6 mm"))
     assert (small.family, small.parameters) == (large.family, large.parameters)
