@@ -16,11 +16,14 @@ from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import random
 import tempfile
 import time
 import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,12 +35,13 @@ from sppm_pipeline.features.design.atlas import (
     PORES,
     PROPERTIES,
     Atlas,
-    built,
     configuration,
-    digest_of,
+    fitted,
+    scaled,
     spread,
     versions,
 )
+from sppm_pipeline.services.arrays import F64
 
 MARK = "<!-- benchmarks.atlas -->"
 
@@ -69,6 +73,36 @@ def measured(family: str, number: int, draw: int) -> list[float]:
             ]  # fmt: skip
         except (sppm.SppmError, KeyError):  # it can't be made, or has no stiffness in some direction
             return [float("nan")] * len(PROPERTIES)
+
+
+def digest_of(values: Sequence[float]) -> str:
+    """Digest of the measured properties of a draw."""
+    return hashlib.sha256(np.asarray(values, "<f4").tobytes()).hexdigest()[:16]
+
+
+def built(
+    designs: Sequence[tuple[str, Mapping[str, float]]], values: F64, digests: Sequence[str], numbers: Sequence[int],
+    draws: Sequence[int], made_by: Sequence[str],
+) -> None:  # fmt: skip
+    """Fit all families and write the data file; values (n, properties) of draws have lengths in cell sizes."""
+    arrays: dict[str, Any] = {}
+    scale = PORES ** (np.array(list(LENGTH_POWERS.values())) / 3)
+    for family in FAMILIES:
+        own = [k for k, (name, _) in enumerate(designs) if name == family and np.isfinite(np.log(values[k])).all()]
+        points = np.concatenate([scaled(family, designs[k][1]) for k in own])
+        logs = np.log(values[own] * scale)
+        of = np.array([numbers[k] for k in own])
+        fits = [fitted(points, logs[:, p], of) for p in range(len(PROPERTIES))]
+        arrays |= {
+            f"{family}.points": points, f"{family}.values": logs.astype(np.float32), f"{family}.number": of,
+            f"{family}.draw": np.array([draws[k] for k in own]),
+            f"{family}.digest": np.array([digests[k] for k in own]),
+            f"{family}.versions": np.array([made_by[own[0]]]), f"{family}.weights": np.array([f.weights for f in fits]),
+            f"{family}.settings": np.array([[*f.settings, f.mean, f.deviation, f.band] for f in fits]),
+        }  # fmt: skip
+        if len({made_by[k] for k in own}) > 1:
+            raise ValueError(f"rows of {family} were made by several versions: sweep it again")
+    np.savez_compressed(DATA, **arrays)
 
 
 def main() -> None:

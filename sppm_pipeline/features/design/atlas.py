@@ -7,7 +7,6 @@ the (n + 1) 0.9-th smallest is taken (conformal prediction, Vovk et al. 2005; by
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -222,11 +221,6 @@ class FoundDesign(NamedTuple):
         return configuration(name, self.family, self.parameters, self.total, self.cell)
 
 
-def digest_of(values: Sequence[float] | F64) -> str:
-    """Digest of the measured properties of a draw."""
-    return hashlib.sha256(np.asarray(values, "<f4").tobytes()).hexdigest()[:16]
-
-
 def stages_of(family: str) -> list[str]:
     """Names of the stages of a family's recipe."""
     return re.findall(r"stage: ([\w.]+)", " ".join(FAMILIES[family].stages))
@@ -251,31 +245,6 @@ def spread(count: int, axes: int) -> F64:
 def scaled(family: str, values: Mapping[str, float]) -> F64:
     """Parameters of a design as shares of their ranges, (1, d)."""
     return np.array([[(values[name] - a) / (b - a) for name, (a, b) in FAMILIES[family].ranges.items()]])
-
-
-def built(
-    designs: Sequence[tuple[str, Mapping[str, float]]], values: F64, digests: Sequence[str], numbers: Sequence[int],
-    draws: Sequence[int], made_by: Sequence[str],
-) -> None:  # fmt: skip
-    """Fit all families and write the data file; values (n, properties) of draws have lengths in cell sizes."""
-    arrays: dict[str, Any] = {}
-    scale = PORES ** (np.array(list(LENGTH_POWERS.values())) / 3)
-    for family in FAMILIES:
-        own = [k for k, (name, _) in enumerate(designs) if name == family and np.isfinite(np.log(values[k])).all()]
-        points = np.concatenate([scaled(family, designs[k][1]) for k in own])
-        logs = np.log(values[own] * scale)
-        of = np.array([numbers[k] for k in own])
-        fits = [fitted(points, logs[:, p], of) for p in range(len(PROPERTIES))]
-        arrays |= {
-            f"{family}.points": points, f"{family}.values": logs.astype(np.float32), f"{family}.number": of,
-            f"{family}.draw": np.array([draws[k] for k in own]),
-            f"{family}.digest": np.array([digests[k] for k in own]),
-            f"{family}.versions": np.array([made_by[own[0]]]), f"{family}.weights": np.array([f.weights for f in fits]),
-            f"{family}.settings": np.array([[*f.settings, f.mean, f.deviation, f.band] for f in fits]),
-        }  # fmt: skip
-        if len({made_by[k] for k in own}) > 1:
-            raise ValueError(f"rows of {family} were made by several versions: sweep it again")
-    np.savez_compressed(DATA, **arrays)
 
 
 @dataclass(frozen=True)
