@@ -51,7 +51,7 @@ class Trouble(Stage):
         if once.exists() or always.exists():
             once.unlink(missing_ok=True)
             # Dask starts no worker again that dies before its nanny, which looks now and then, knows that it runs
-            time.sleep(2)
+            time.sleep(5)
             os.kill(os.getpid(), signal.SIGKILL)
         while waits.exists():
             time.sleep(0.02)
@@ -91,7 +91,7 @@ class WriteRaw(LayerWriter):
         once = Path(__file__).with_name("once")
         if not once.exists():
             once.write_text(str(os.getpid()))
-            time.sleep(2)  # its nanny is to know that it runs, or starts no other
+            time.sleep(5)  # its nanny is to know that it runs, or starts no other
             os.kill(os.getpid(), signal.SIGKILL)
         return image.tobytes()
 '''
@@ -127,10 +127,24 @@ def two_workers():
 
 
 @pytest.fixture(scope="module")
-def lasting():
-    """Two workers of several tests, which may kill some: others take their places."""
+def shared():
+    """The cluster of `lasting`."""
     with two_workers() as cluster:
         yield cluster
+
+
+@pytest.fixture
+def lasting(shared):
+    """Two workers of several tests, which may kill some: others take their places, or are started here."""
+    with contextlib.suppress(TimeoutError):
+        shared.wait_for_workers(2, timeout=20)
+        return shared
+    shared.scale(0)
+    while shared.scheduler.workers:
+        time.sleep(0.05)
+    shared.scale(2)
+    shared.wait_for_workers(2, timeout=120)
+    return shared
 
 
 def swept(file: Path, to: str, executor: str, *, cache: Path | None = None, monitor: Monitor | None = None):
@@ -249,15 +263,25 @@ def test_a_scheduler_that_is_gone_prints_no_traceback(tmp_path):
     assert len(table_of(tmp_path / "out")) == 4
 
 
+def run_everywhere(client: Client, code: str) -> None:
+    """Run code in all workers; where one of them is just being replaced, in all of them again."""
+    for _ in range(5):
+        with contextlib.suppress(OSError):
+            client.run(exec, code)
+            return
+        time.sleep(2)
+    client.run(exec, code)
+
+
 def test_workers_with_another_program_are_refused(lasting, tmp_path):
     file = prepare(tmp_path, 3)
     with Client(lasting, set_as_default=False) as client:
-        client.run(exec, ANOTHER_PROGRAM)
+        run_everywhere(client, ANOTHER_PROGRAM)
         try:
             with pytest.raises(ConfigError, match="sppm_pipeline with the digest 000000000000 instead of"):
                 swept(file, "out", f"dask:{lasting.scheduler_address}")
         finally:
-            client.run(exec, THEIR_OWN)
+            run_everywhere(client, THEIR_OWN)
     assert ["is not that of" in row["error"] for row in table_of(tmp_path / "out")] == [True] * 3
 
 
