@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 import sppm_pipeline as sppm
+from benchmarks.measure import between_marks
 from sppm_pipeline.features.design.atlas import (
     DATA,
     FAMILIES,
@@ -135,8 +136,7 @@ def main() -> None:
             again = digest_of(measured(*designs[k]))
             print(*designs[k], "the same" if again == rows[k]["digest"] else f"NOT the same: {again}", flush=True)
     elif args.page:
-        before, _, after = args.page.read_text(encoding="utf-8").split(MARK)
-        args.page.write_text(f"{before}{MARK}\n{words_of(rows)}\n{MARK}{after}", encoding="utf-8")
+        between_marks(args.page, MARK, words_of(rows))
     elif args.coverage:
         for name, own in [(f, [row for row in rows if row["family"] == f]) for f in FAMILIES] + [("all", rows)]:
             found = coverage(own)

@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 import sppm_pipeline as sppm
+from benchmarks.measure import between_marks
 from sppm_pipeline.features.design.numerics.tensor_fit import stretch_of, turned
 from sppm_pipeline.services.elastic.voigt import isotropic, mandel, rotated
 
@@ -151,12 +152,6 @@ def words_of(paths: list[Path]) -> str:
     return "\n".join(found)
 
 
-def written(page: Path, words: str) -> None:
-    """Put the table between the marks of a page."""
-    before, _, after = page.read_text(encoding="utf-8").split(MARK)
-    page.write_text(f"{before}{MARK}\n{words}\n{MARK}{after}", encoding="utf-8")
-
-
 def main() -> None:
     """Design for each row, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -175,7 +170,7 @@ def main() -> None:
     parser.add_argument("--unreachable", type=int, default=0)
     args = parser.parse_args()
     if args.page:
-        written(args.page, words_of(args.csv))
+        between_marks(args.page, MARK, words_of(args.csv))
         return
     warnings.simplefilter("ignore")
     rng = np.random.default_rng(7)

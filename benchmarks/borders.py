@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import sppm_pipeline as sppm
+from benchmarks.measure import between_marks
 from sppm_pipeline.features.surface.numerics.simplifying import qualities, simplify
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
 from sppm_pipeline.method.connectivity.components import find_components
@@ -97,8 +98,7 @@ def main() -> None:
     table = "\n".join(rows) + "\n"
     print(table)
     if "--write" in sys.argv:
-        before, _, after = PAGE.read_text("utf-8").split(MARK)
-        PAGE.write_text(before + MARK + table + MARK + after, "utf-8")
+        between_marks(PAGE, MARK, table)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sppm_pipeline as sppm
+from benchmarks.measure import between_marks
 from sppm_pipeline.features.flow.numerics.conduction import conductivity
 from sppm_pipeline.features.flow.numerics.regions import regions_of
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
@@ -284,9 +285,7 @@ def tables(path: Path) -> dict[str, str]:
 def write_pages(path: Path) -> None:
     """Put the tables between the marks of their pages."""
     for name, table in tables(path).items():
-        page = PAGES / name
-        before, _, after = page.read_text(encoding="utf-8").split(MARK)
-        page.write_text(before + MARK + table + MARK + after, encoding="utf-8")
+        between_marks(PAGES / name, MARK, table)
 
 
 def main(path: Path, n: int, only: list[str]) -> None:

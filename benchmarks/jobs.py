@@ -25,7 +25,7 @@ from typing import Any
 
 from PIL import Image
 
-from benchmarks.measure import run
+from benchmarks.measure import between_marks, run
 
 ROOT = Path(__file__).resolve().parents[1]
 JOBS = ROOT / "examples" / "jobs"
@@ -230,8 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             picture = Image.open(folder / "runs" / name / f"{name}.png").convert("RGB").resize((600, 450))
             path = ROOT / "docs" / "pictures" / f"job-{name}.png"
             picture.quantize(128, dither=Image.Dither.FLOYDSTEINBERG).save(path, "PNG", optimize=True)
-            before, _, after = PAGE.read_text("utf-8").split(MARK)
-            PAGE.write_text(before + MARK + tables(stored) + MARK + after, "utf-8")
+            between_marks(PAGE, MARK, tables(stored))
 
 
 if __name__ == "__main__":

@@ -71,6 +71,14 @@ def repeat_in_process(function: Callable[[], object], runs: int = 7) -> tuple[fl
     return statistics.median(walls), statistics.median(cpus)
 
 
+def between_marks(page: Path, mark: str, text: str) -> None:
+    """Put text between the two lines of a page that are a mark."""
+    line = mark.rstrip("\n")
+    before, _, after = page.read_text(encoding="utf-8").split(line)
+    ended = text.rstrip("\n")
+    page.write_text(f"{before}{line}\n{ended}\n{line}{after}", encoding="utf-8")
+
+
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print rows in columns."""
     cells = [list(header)] + [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row] for row in rows]

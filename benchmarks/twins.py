@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.measure import between_marks
 from sppm_pipeline.features.scans.image_field import ImageField
 from sppm_pipeline.features.scans.numerics.statistics import configurations, fabric
 from sppm_pipeline.features.scans.numerics.stretching import matrix_of, stretch_of, stretched
@@ -302,9 +303,7 @@ def write_page(page: Path, files: list[Path]) -> None:
     lines += [
         "| " + " | ".join([name, *(column.get(name, "") for column in columns.values())]) + " |" for name in names
     ]
-    text, mark = page.read_text(encoding="utf-8"), "<!-- benchmarks.twins -->\n"
-    before, _, after = text.split(mark)
-    page.write_text(f"{before}{mark}" + "\n".join(lines) + f"\n{mark}{after}", encoding="utf-8")
+    between_marks(page, "<!-- benchmarks.twins -->", "\n".join(lines))
 
 
 def main() -> None:

@@ -24,6 +24,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from benchmarks.measure import between_marks
 from sppm_pipeline.features.printing.numerics.lettering import HIGH, strokes
 from sppm_pipeline.services.arrays import U8, Bools
 
@@ -107,8 +108,7 @@ def main() -> None:
         image = layers[-4][rows_used[0] - 20 : rows_used[-1] + 20, columns_used[0] - 20 : columns_used[-1] + 20]
         picture = Image.fromarray(turned(image, way)[::-1]).reduce(2)
         picture.quantize(8).save(PICTURE, optimize=True)
-        before, _, after = PAGE.read_text("utf-8").split(MARK)
-        PAGE.write_text(before + MARK + table + MARK + after, "utf-8")
+        between_marks(PAGE, MARK, table)
 
 
 if __name__ == "__main__":
