@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from sppm_pipeline.engine.api.monitor import WarningMonitor
 from sppm_pipeline.engine.api.registering import is_dataclass_itself, is_known, register, registry
-from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
+from sppm_pipeline.engine.config.configuration import FORMAT, checked_seed, parse_configuration
 from sppm_pipeline.engine.config.document import Entry, compose
 from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option, with_current_names
 from sppm_pipeline.engine.config.problems import did_you_mean, raise_problems
@@ -322,7 +322,7 @@ class BoundStage(Generic[Takes, Makes]):
                     steps=plan.steps,
                     recipes=plan.recipes,
                     # no default seed: two calls would silently draw the same numbers
-                    seed=MissingSeed() if seed is None else seed,
+                    seed=MissingSeed() if seed is None else checked_seed(seed),
                     threads=threads or available_threads(),
                     folder=runs or Scratch(Path(scratch)),
                     monitor=monitor,

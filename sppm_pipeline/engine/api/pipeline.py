@@ -15,11 +15,11 @@ from sppm_pipeline.engine.api.bound_stage import entries_of
 from sppm_pipeline.engine.api.monitor import WarningMonitor
 from sppm_pipeline.engine.api.run import Run
 from sppm_pipeline.engine.cache.housekeeping import cache_folder
-from sppm_pipeline.engine.config.configuration import FORMAT
+from sppm_pipeline.engine.config.configuration import FORMAT, checked_seed
 from sppm_pipeline.engine.config.document import parse_yaml, plain, read_yaml
 from sppm_pipeline.engine.config.options import options_of, plain_option
 from sppm_pipeline.engine.config.parameters import Overrides
-from sppm_pipeline.engine.config.problems import listed
+from sppm_pipeline.engine.config.problems import listed, shown
 from sppm_pipeline.engine.plan.checking import checked
 from sppm_pipeline.engine.plan.plugins import REGISTERED, allowed_plugins
 from sppm_pipeline.engine.plan.session import RunRequest, Session, find_configuration, open_session
@@ -137,7 +137,7 @@ class Pipeline:
         overrides = Overrides(
             (*_without(before.params, given), *_arguments(given)),
             (*_without(before.options, set or {}), *_arguments(set or {})),
-            before.seed if seed is None else seed,
+            before.seed if seed is None else checked_seed(seed),
         )
         return self._of(replace(self._request, overrides=overrides))
 
@@ -153,6 +153,12 @@ class Pipeline:
         """
         if (rows is None) == (not axes):
             raise ConfigError("a sweep takes either rows or axes", hint="sweep(seed=range(8)), or sweep([{'seed': 1}])")
+        for name, values in axes.items():
+            if isinstance(values, str) or not isinstance(values, Iterable):
+                raise ConfigError(
+                    f"a sweep varies {name!r} over a list of values, got {shown(values)}",
+                    hint=f"sweep({name}=[{shown(values)}]), or run(...) with one value",
+                )
         sweep: Any = [dict(row) for row in rows] if rows is not None else {k: list(v) for k, v in axes.items()}
         file = Path(self._request.file)
         document = self._request.document
@@ -221,6 +227,9 @@ class Pipeline:
         self,
         output: str | Path | None = None,
         *,
+        params: Mapping[str, Any] | None = None,
+        set: Mapping[str, Any] | None = None,
+        seed: int | None = None,
         threads: int | None = None,
         jobs: int = 1,
         until: str | None = None,
@@ -232,6 +241,8 @@ class Pipeline:
         ----------
         output : str or Path, optional
             The run directory; if omitted, nothing is written, and stages that only write are left out.
+        params, set, seed
+            What `with_` changes before the run.
         threads : int, optional
             As many as there are processors if omitted; no result depends on it.
         jobs : int
@@ -246,6 +257,9 @@ class Pipeline:
         SppmError
             What stopped the run; in a sweep, what is wrong before the first row runs.
         """
+        if params or set or seed is not None:
+            changed = self.with_(params, set=set, seed=seed)
+            return changed.run(output, threads=threads, jobs=jobs, until=until, cache=cache)
         plan, rows, _ = checked(self._session, until, folder=Path(output or "."), jobs=jobs)
         run = Run(self._session, plan, until=until, threads=threads or available_threads(), cache=_cache_folder(cache))
         if rows:
@@ -291,19 +305,18 @@ def run(
     until: str | None = None,
     cache: bool | str | Path = True,
 ) -> Run:
-    """Run a configuration, as ``sppm run`` does; see `Pipeline.with_` and `Pipeline.run`.
+    """Run a configuration, as ``sppm run`` does.
 
     Parameters
     ----------
     config : str, Path, mapping or Pipeline
         A file, the name of a packaged example, YAML, a configuration as a mapping, or a pipeline.
-    params, set, seed
-        As for `Pipeline.with_`.
-    output, threads, jobs, until, cache
+    params, set, output, seed, threads, jobs, until, cache
         As for `Pipeline.run`.
     """
-    pipeline = pipeline_of(config).with_(params, set=set, seed=seed)
-    return pipeline.run(output, threads=threads, jobs=jobs, until=until, cache=cache)
+    return pipeline_of(config).run(
+        output, params=params, set=set, seed=seed, threads=threads, jobs=jobs, until=until, cache=cache
+    )
 
 
 def load(path: str | Path, *, cache: bool | str | Path = True) -> Run:

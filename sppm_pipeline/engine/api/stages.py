@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from sppm_pipeline.engine.api.functions import Family, family_of, step_families
 from sppm_pipeline.stage import FAMILIES
+
+CellOptions = dict[str, Any]
+"""What `sppm.cell` takes besides; the stub names each."""
 
 step = step_families()
 

@@ -3,7 +3,7 @@
 # pyright: reportOverlappingOverload=false
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Never, TypeAlias, overload
+from typing import Any, Literal, Never, TypeAlias, TypedDict, overload
 
 from sppm_pipeline.engine.api.bound_stage import BoundStage
 from sppm_pipeline.nouns.artifact import Artifact
@@ -546,6 +546,49 @@ class _Write:
     def voxels(self, *, id: str | None = ..., sources: _Sources | None = ..., path: str = ...) -> BoundStage[Voxels, list[Path]]: "Write a voxel image; the extension chooses the format: a NumPy array, a multi-page TIFF, VTK image data, NRRD, or\na Zarr store.\n\nA .npy, .vti or .nrrd file holds uint8 phases, 0 for void, or float32 solid fractions, indexed x, y, z. A TIFF file\nhas one page a layer, the lowest first, rows from the largest y down; an image of one phase has the values 0 and 255\nthere, one of several phases their numbers, fractions are 32-bit reals. The size of a voxel, where the cell has one,\nis kept by all but .npy: in a TIFF file as resolutions per centimeter, and as ImageJ does. A .zarr folder, which\n``xarray.open_zarr`` opens, holds the array `phase` or `fraction` in compressed blocks, the coordinates x, y and z\nof the centers of voxels with their unit, and the edges of a voxel in the attribute `spacing`.\n\npath: a name that ends in .npy, .tif, .tiff, .vti, .nrrd or .zarr; default voxels.npy. file or folder to write"
     @overload
     def voxels(self, *artifacts: Voxels, voxels: Voxels | None = ..., seed: int | None = ..., threads: int | None = ..., output: str | Path | None = ..., path: str = ...) -> list[Path]: ...
+
+class CellOptions(TypedDict, total=False):
+    balance: float
+    band: float
+    by: Literal["level", "gap"]
+    clear_faces: bool
+    clearance: float | str | Length | None
+    connector_clearance: float | str | Length | None
+    count: int | None
+    degree: Sequence[int]
+    density: float
+    edge: float | str | Length | None
+    evaluations: int
+    faces_margin: Literal["homogeneous", "paper"]
+    fit_count: bool
+    gap: float | str | Length | None
+    hold: Literal["tunnel_radius", "pore_radius"] | None
+    level: float
+    margin: float | str | Length | None
+    mode: Literal["exact", "greedy", "lp_fix"]
+    mu: float | None
+    neighbors: int
+    omega: float | None
+    period: float | str | Length | None
+    pore_radius: float | str | Length | None
+    pore_spread: float
+    relaxation: int
+    resolution: int
+    rounding: float | str | Length | None
+    share: float | None
+    spacing: float | str | Length | None
+    stealth: float | None
+    stretch: Sequence[float]
+    struts: float
+    thickness: float | str | Length | None
+    tolerance: float
+    total: int | None
+    trials: int
+    tunnel: Literal["linear", "squared"]
+    tunnel_radius: float | str | Length | None
+    tunnel_spread: float
+    turn: Sequence[float]
+    two_edge_connected: bool
 
 class _Steps:
     read: _Read

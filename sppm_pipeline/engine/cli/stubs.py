@@ -57,7 +57,7 @@ HEAD = """\
 # pyright: reportOverlappingOverload=false
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Never, TypeAlias, overload
+from typing import Any, Literal, Never, TypeAlias, TypedDict, overload
 
 from sppm_pipeline.engine.api.bound_stage import BoundStage
 from sppm_pipeline.nouns.artifact import Artifact
@@ -88,11 +88,26 @@ def stub_text(registry: Registry) -> str:
         if family == "check":
             check = "def __call__(self, config: Any, *, params: Mapping[str, Any] | None = None, "
             lines.append(f"    {check}set: Mapping[str, Any] | None = None) -> tuple[str, ...]: ...")
+    lines += ["", "class CellOptions(TypedDict, total=False):", *_cell_options(registry)]
     # of a family that plugins alone fill, nothing is known here
     kinds = {family: f"_{family.title()}" if family in families else "Any" for family in [*families, *FAMILIES]}
     lines += ["", "class _Steps:", *(f"    {family}: {kind}" for family, kind in kinds.items()), "", "step: _Steps"]
     lines += [f"{family}: {kind}" for family, kind in kinds.items()]
     return "\n".join(lines) + "\n"
+
+
+def _cell_options(registry: Registry) -> Iterator[str]:
+    """What `sppm.cell` takes besides: parameters of presets, options of their stages, and those of tuning."""
+    types_of: dict[str, dict[str, None]] = {}
+    for preset in registry.presets.values():
+        for entry in [*preset.stages, {"stage": "tune.porosity"}]:
+            for option in options_of(registry.get(entry["stage"])).values():
+                # a parameter has the type of the option that it stands for
+                named = [name for name in preset.params if entry.get(option.name) == f"${{{name}}}"]
+                for name in {option.name, *named}:
+                    types_of.setdefault(name, {})[_option_type(option.kind, option)] = None
+    for name in sorted(types_of.keys() - {"target"}):
+        yield f"    {name}: {' | '.join(types_of[name])}"
 
 
 def _stage_lines(cls: type[Stage], word: str, imported: dict[str, set[str]]) -> Iterator[str]:

@@ -44,6 +44,14 @@ _NAME = re.compile(r"\w[\w .+-]{0,99}")
 _WORD = re.compile(r"\w[\w.#-]*")
 
 
+def checked_seed(value: Any, where: Position | None = None) -> int:
+    """A seed, if it is one; NumPy's integers are."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED:
+        raise ConfigError(f"a seed is an integer, at least 0, at most {MAX_SEED}, got {shown(value)}", where=where)
+    return value
+
+
 @dataclass(frozen=True)
 class Configuration:
     """A configuration file before parameters are put in; nodes keep their positions."""

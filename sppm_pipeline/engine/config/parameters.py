@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from sppm_pipeline.engine.config.configuration import MAX_SEED, RESERVED, Configuration, StageEntry
+from sppm_pipeline.engine.config.configuration import RESERVED, Configuration, StageEntry, checked_seed
 from sppm_pipeline.engine.config.document import (
     MAX_NODES,
     Entry,
@@ -204,13 +204,14 @@ def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]
     # rows of a grid share their nodes: each is checked once, not once a row
     entries = {(name, id(entry.node)): (name, entry) for row in rows for name, entry in row.items()}
     for name, entry in entries.values():
-        value = entry.node.value
         if name not in names:
             message = f"the sweep varies {name!r}, which is no parameter"
             problems.append(ConfigError(message, where=entry.where, hint=did_you_mean(name, names)))
-        elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED):
-            message = f"a seed is an integer, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}"
-            problems.append(ConfigError(message, where=entry.node.where))
+        elif name == "seed":
+            try:
+                checked_seed(plain(entry.node), entry.node.where)
+            except ConfigError as error:
+                problems.append(error)
     if not rows and not problems:
         problems.append(ConfigError("the sweep has no runs", where=sweep.where))
     raise_problems(problems)

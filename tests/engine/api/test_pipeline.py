@@ -233,8 +233,64 @@ def test_a_cell_of_a_preset_in_one_line():
     assert 1 - tuned.to_numpy(24).mean() == pytest.approx(0.6, abs=0.01)
     with pytest.raises(sppm.ConfigError, match=r"no preset 'papr'(.|\n)*did you mean 'paper'"):
         sppm.cell("papr", seed=1)
-    with pytest.raises(sppm.ConfigError, match="has no parameter 'totl'"):
-        sppm.cell("paper", seed=1, totl=60)
+
+
+def test_a_cell_takes_the_options_of_its_stages():
+    by_hand = sppm.Pipeline(
+        ["sample.mirrored_faces", "sample.dart_throwing", "connect.mbdst", "field.gaussian"], seed=1
+    ).run(
+        set={
+            "sample.mirrored_faces.total": 30, "sample.mirrored_faces.share": 0.5, "sample.dart_throwing.total": 30,
+            "connect.mbdst.degree": [3, 5], "connect.mbdst.mode": "greedy", "field.gaussian.pore_radius": 0.13,
+            "field.gaussian.tunnel_radius": 0.05,
+        },
+        cache=False,
+    )["field.gaussian"]  # fmt: skip
+    wide = sppm.cell("paper", seed=1, total=30, pore_radius=0.13, tunnel_radius=0.05)
+    assert (wide.sample(16) == by_hand.sample(16)).all()
+    # beside omega or mu, which count in the preset's own edge
+    sized = sppm.cell("paper", seed=1, total=30, edge="4 mm", tunnel_radius="0.2 mm")
+    assert (sized.edge_mm, sized.finest_radius) == (4.0, pytest.approx(0.05))
+    assert (sized.sample(16) == sppm.cell("paper", seed=1, total=30, tunnel_radius=0.05).sample(16)).all()
+    held = sppm.cell("paper", porosity=0.6, seed=1, total=30, resolution=24, pore_radius=0.13, hold="pore_radius")
+    assert 1 - held.to_numpy(24).mean() == pytest.approx(0.6, abs=0.02)
+    assert held.level == 0.25
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"totl": 60}, "no parameter or option 'totl'\n  hint: did you mean 'total'?"),
+        ({"radius": 0.1}, "did you mean 'pore_radius' or 'tunnel_radius'?"),
+        ({"porosty": 0.6}, "did you mean 'porosity'?"),
+        ({"resolution": 24}, "give one, too"),
+        ({"colour": 1}, "its parameters are total, share"),
+        ({"omega": 20, "pore_radius": 0.1}, "by one of `pore_radius` and `omega`"),
+        ({"pore_radius": "0.5 mm"}, "`edge: 7.5 mm`"),
+        ({"edge": "4 foo"}, "unknown unit 'foo'"),
+        ({"edge": "4 mm", "pore_radius": "1 foo"}, "unknown unit 'foo'"),
+        ({"seed": -1}, "`seed` must be an integer"),
+    ],
+)
+def test_what_a_cell_can_not_take_is_said(given, words):
+    with pytest.raises(sppm.ConfigError) as caught:
+        sppm.cell("paper", **{"seed": 1, **given})
+    assert words in str(caught.value)
+
+
+def test_a_run_takes_seed_parameters_and_options():
+    throw = sppm.sample.dart_throwing(count=sppm.param("n"), spacing=0.1)
+    pipeline = sppm.Pipeline([throw], params={"n": 5})
+    run = pipeline.run(seed=2, params={"n": 6}, set={"sample.dart_throwing.spacing": 0.2}, cache=False)
+    apart = pipeline.with_(n=6, set={"sample.dart_throwing.spacing": 0.2}, seed=2).run(cache=False)
+    assert run[throw.name].digest() == apart[throw.name].digest() != pipeline.run(cache=False)[throw.name].digest()
+    assert run.record["seed"] == 2
+    for seed in (-1, "x", 2.5, True, 2**63):
+        for call in (pipeline.run, sppm.step.sample.dart_throwing(count=5, spacing=0.1)):
+            with pytest.raises(sppm.ConfigError, match="a seed is an integer, at least 0"):
+                call(seed=seed)
+    with pytest.raises(sppm.ConfigError, match="over a list of values, got 3"):
+        pipeline.sweep(seed=3)
 
 
 def test_a_cell_of_the_paper_has_the_size_that_is_given():

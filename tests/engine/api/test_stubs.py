@@ -27,6 +27,7 @@ graph: sppm.TunnelGraph = sppm.connect.mbdst(pores, mode="greedy", seed=1)
 cell: sppm.Microstructure = sppm.field.gaussian(pore_radius="0.5 mm", tunnel_radius=0.04)(graph)
 E = sppm.homogenize.voxel(resolution=64)(cell).C[0, 0]
 ball: sppm.SurfaceMesh = sppm.read.primitive(shape="ball", size=[1, 2, 3])
+wide = sppm.cell("paper", porosity=0.6, seed=1, pore_radius=0.13, hold="pore_radius")
 tuned = sppm.tune.porosity(target=sppm.param("porosity"), recipe=[throw, sppm.connect.mbdst()])
 files = [path.name for path in sppm.write.mesh(ball, path="ball.stl")]
 """
@@ -38,6 +39,8 @@ MISTAKES = {
     "sppm.connect.mbdst(cell, seed=1)": "Microstructure",
     "sppm.field.gaussian(pore_radius=0.1)(pores)": "PoreSet",
     "throw.centers": "centers",
+    'sppm.cell("paper", seed=1, radius=0.1)': "radius",
+    'sppm.cell("paper", seed=1, total="many")': "str",
     "sppm.connect.mbdst(pores, mode='greedyy')": "mbdst",
 }
 
