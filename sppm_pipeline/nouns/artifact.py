@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.errors import ResourceError, nearest
 from sppm_pipeline.nouns.viewers import viewer_of
 
 if TYPE_CHECKING:
@@ -138,6 +138,27 @@ class Artifact:
         if "__repr__" not in vars(cls):
             setattr(cls, "__repr__", Artifact.__repr__)  # noqa: B010 - assigned for a reason that types can't follow
 
+    if not TYPE_CHECKING:  # for which any name would be known then
+
+        def __getattr__(self, name: str) -> Any:
+            """An error that says what is known; attributes that are there never come here."""
+            if hasattr(type(self), name):  # a property that has raised this error itself
+                return object.__getattribute__(self, name)
+            message = f"a {type(self).__name__} has no {name!r}"
+            if name[0] != "_":
+                known = [one for one in dir(self) if one[0] != "_"]
+                more = ", ".join(f"{one}()" for one in known if one.startswith("to_") or one == "summary")
+                message += f"; {nearest(name, known)} (see also {more})"
+            raise AttributeError(message)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """What `to_numpy` makes, for NumPy's functions; `TypeError` of what is no array."""
+        make = getattr(self, "to_numpy", None)
+        if make is None:
+            # NumPy would make an array of one object
+            raise TypeError(f"a {type(self).__name__} is no array")
+        return np.array(make(), dtype, copy=copy)
+
     def __repr__(self) -> str:
         names: list[str] = [f.name for f in fields(self) if f.repr] if is_dataclass(self) else []
         parts = [f"{name}={_brief(getattr(self, name))}" for name in names]
@@ -216,12 +237,17 @@ class Viewable(Artifact, ABC):
 
 
 def _brief(value: Any) -> str:
-    """A field of an artifact: arrays by type and shape, other artifacts by name."""
+    """A field of an artifact: arrays by type and shape, other artifacts whole if they are short, else by name."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{list(value.shape)}"
     if isinstance(value, (bool, int, float, str, type(None))) or is_dataclass(value):
-        return repr(value) if not is_dataclass(value) or isinstance(value, Artifact) else f"{type(value).__name__}(...)"
+        text = repr(value) if not is_dataclass(value) or isinstance(value, Artifact) else ""
+        return text if text and (len(text) <= MAX_BRIEF or isinstance(value, str)) else f"{type(value).__name__}(...)"
     return repr(value) if isinstance(value, tuple) and len(value) <= 3 and not hasattr(value, "_fields") else "..."
+
+
+MAX_BRIEF = 100
+"""Characters of an artifact within another one."""
 
 
 def _rows(summary: dict[str, Any]) -> str:

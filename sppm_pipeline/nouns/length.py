@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.artifact import Artifact
@@ -30,6 +31,11 @@ class Length:
 
     value: float
     unit: str | None = None
+
+    def __post_init__(self) -> None:
+        value: Any = self.value
+        if isinstance(value, str):
+            raise ValueError(f"a length is a number and its unit, Length(4, 'mm'), got {value!r}")
 
     def __str__(self) -> str:
         return f"{self.value:g} {self.unit}" if self.unit else f"{self.value:g}"
@@ -141,6 +147,11 @@ class Cell(Artifact):
 
     edge: float = 1.0
     physical: bool = False
+
+    def __post_init__(self) -> None:
+        edge: Any = self.edge
+        if isinstance(edge, (str, Length)):
+            raise ValueError(f"the edge of a cell is a number, Cell(4.0, True) of 4 mm, got {edge!r}")
 
     def fraction(self, length: Length) -> float:
         """`length` in cell sizes.

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import Field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeGuard, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
 import numpy as np
 
-from sppm_pipeline.errors import nearest
 from sppm_pipeline.nouns.artifact import Artifact, shown
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -255,13 +254,6 @@ class Report(Artifact):
                     inner = inner.setdefault(key, {})
                 inner[last] = list(one) if isinstance(one, tuple) else dict(one) if isinstance(one, Mapping) else one
         return found
-
-    if not TYPE_CHECKING:  # for which any name would be known then
-
-        def __getattr__(self, name: str) -> Any:
-            """An error that says what is known; attributes that are there never come here."""
-            hint = "" if name[0] == "_" else f"; {nearest(name, [one for one in dir(self) if one[0] != '_'])}"
-            raise AttributeError(f"a {type(self).__name__} has no {name!r}{hint}")
 
     def __str__(self) -> str:
         """The numbers, a line for each entry of the summary; what is no number alone is left out."""

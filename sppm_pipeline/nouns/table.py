@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -133,6 +133,19 @@ class Table(Artifact):
             # of an array that lacks entries, each stands for itself
             found |= {base: members} if whole and len(members) > 1 else {name: [name] for name in members}
         return found
+
+    def __len__(self) -> int:
+        return self.rows
+
+    def __getitem__(self, name: str) -> tuple[Any, ...]:
+        return self.column(name)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the columns."""
+        return iter(self.columns)
+
+    def __repr__(self) -> str:
+        return f"<Table of {self.rows} rows: {', '.join(self.columns)}>"
 
     def _repr_html_(self) -> str:
         """The first rows, as notebooks show them."""

@@ -33,7 +33,7 @@ class SlicerContract(StageContract):
                 found.append(slab.copy())
             layers = np.concatenate(found)
             assert len(layers) == nz
-            assert np.array_equal(stack.to_array(threads=3), layers)
+            assert np.array_equal(stack.to_numpy(threads=3), layers)
             assert stack.gray or np.isin(layers, (0, 255)).all()
 
     def test_pixels_have_a_pitch_along_x_and_one_along_y(self) -> None:

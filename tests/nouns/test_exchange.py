@@ -11,12 +11,12 @@ def test_voxels():
     array = np.zeros((2, 3, 4), bool)
     array[1, 2, 3] = True
     voxels = sppm.Voxels.from_array(array, spacing=0.05)
-    assert voxels.to_array()[1, 2, 3] == 1
+    assert voxels.to_numpy()[1, 2, 3] == 1
     assert voxels.physical
     assert voxels.spacing == (0.05,) * 3
     turned = sppm.Voxels.from_array(array.transpose(2, 1, 0), axes="zyx", spacing=0.05)
     assert turned.digest() == voxels.digest()
-    assert np.array_equal(turned.to_array("zyx"), array.transpose(2, 1, 0))
+    assert np.array_equal(turned.to_numpy("zyx"), array.transpose(2, 1, 0))
     assert sppm.Voxels.from_array(array).spacing == (0.25,) * 3
     assert sppm.Voxels.from_array(array * 0.5).fractions
     for wrong in (np.zeros((2, 2)), np.full((2, 2, 2), 300), np.full((2, 2, 2), -1), np.full((2, 2, 2), 1.5)):
@@ -60,7 +60,7 @@ def test_layers_and_tables():
     layers = np.zeros((3, 4, 5), bool)
     layers[1] = True
     stack = sppm.SliceStack.from_array(layers, pixel_mm=0.1, layer_mm=0.05)
-    assert np.array_equal(stack.to_array(), layers * np.uint8(255))
+    assert np.array_equal(stack.to_numpy(), layers * np.uint8(255))
     reading = stack.slabs()
     assert len(list(reading)) == 3
     assert reading.findings["solid_volume_mm3"] == pytest.approx(20 * 0.1**2 * 0.05)
@@ -103,7 +103,7 @@ def test_cells_as_arrays_voxels_meshes_and_pictures(cell):
     assert not solid[4, 4, 4]  # the first pore
     assert solid[8, 12, 12]
     voxels = cell.voxels(16)
-    assert np.array_equal(voxels.to_array(), solid)
+    assert np.array_equal(voxels.to_numpy(), solid)
     assert voxels.spacing == (0.25,) * 3
     mesh = cell.mesh(24)
     assert mesh.vertices.max() <= 4 + 1e-9

@@ -18,7 +18,7 @@ from sppm_pipeline.engine.api.registering import is_dataclass_itself, is_known, 
 from sppm_pipeline.engine.config.configuration import FORMAT, checked_seed, parse_configuration
 from sppm_pipeline.engine.config.document import Entry, compose
 from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option, with_current_names
-from sppm_pipeline.engine.config.problems import did_you_mean, raise_problems
+from sppm_pipeline.engine.config.problems import did_you_mean, raise_problems, shown
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.ports import Port, fits, port_words, signature_of
 from sppm_pipeline.engine.run.events import Observers
@@ -323,7 +323,7 @@ class BoundStage(Generic[Takes, Makes]):
                     recipes=plan.recipes,
                     # no default seed: two calls would silently draw the same numbers
                     seed=MissingSeed() if seed is None else checked_seed(seed),
-                    threads=threads or available_threads(),
+                    threads=available_threads() if threads is None else counted("threads", threads),
                     folder=runs or Scratch(Path(scratch)),
                     monitor=monitor,
                     observers=Observers([], [], lambda message: monitor.warning(None, message)),
@@ -357,7 +357,22 @@ def _check_recipe(step: BoundStage[Any, Any]) -> None:
 
 def _unfit(stage: str, artifact: Any, ports: Sequence[Port]) -> WiringError:
     wanted = "; ".join(f"{port.name} takes {port_words(port)}" for port in ports) or "nothing is left to give"
-    return WiringError(f"{stage} can't take {type(artifact).__name__}: {wanted}")
+    hint = None
+    if not isinstance(artifact, Artifact):
+        made = next((t.__name__ for port in ports for t in port.types if hasattr(t, "from_array")), None)
+        option = next(iter(options_of(registry().get(stage))), None)
+        if hasattr(artifact, "__array__") and made:
+            hint = f"sppm.{made}.from_array(...) makes one of an array"
+        elif option:
+            hint = f"options are given by name, for example {option}=..."
+    return WiringError(f"{stage} can't take {type(artifact).__name__}: {wanted}", hint=hint)
+
+
+def counted(name: str, value: Any) -> int:
+    """A number of threads or jobs, within the bounds of the command line."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 4096:
+        raise ConfigError(f"`{name}` is an integer, at least 1, at most 4096, got {shown(value)}")
+    return value
 
 
 def _scratch(beside: Path | None) -> AbstractContextManager[str]:

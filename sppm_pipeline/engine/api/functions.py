@@ -18,6 +18,7 @@ import textwrap
 import types
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.api.bound_stage import BoundStage
@@ -63,6 +64,8 @@ def _called(cls: type[Stage], runs: bool, artifacts: Sequence[Any], given: dict[
             hint=f"options are given by name, for example {first}=..." if first else "leave it out",
         )
     named = {port.name: given.pop(port.name) for port in ports if port.name in given}
+    if runs and "output" not in given:
+        given |= _apart(cls, given)
     for_run = {name: value for name in OF_RUNS if (value := given.pop(name, None)) is not None}
     as_step = {name: given.pop(name, None) for name in OF_STEPS}
     recipe = given.pop("recipe", None)
@@ -82,6 +85,16 @@ def _called(cls: type[Stage], runs: bool, artifacts: Sequence[Any], given: dict[
                 hint=f"sppm.{cls.name}(...)(artifact, {name}=...): `{name}` belongs to the second call",
             )
     return bound
+
+
+def _apart(cls: type[Stage], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Folder and name of a file that is named with its folder: in a pipeline outputs lie below the run directory."""
+    outputs = [name for name, option in options_of(cls).items() if option.spec.output and name in given]
+    paths = {name: Path(given[name]) for name in outputs if isinstance(given[name], (str, Path))}
+    if len(paths) != 1 or not any(path.is_absolute() or ".." in path.parts for path in paths.values()):
+        return {}
+    ((name, path),) = paths.items()
+    return {name: path.name, "output": path.parent}
 
 
 def _signature(cls: type[Stage]) -> inspect.Signature:

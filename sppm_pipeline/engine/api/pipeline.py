@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.api.bound_stage import entries_of
+from sppm_pipeline.engine.api.bound_stage import counted, entries_of
 from sppm_pipeline.engine.api.monitor import WarningMonitor
 from sppm_pipeline.engine.api.run import Run
 from sppm_pipeline.engine.cache.housekeeping import cache_folder
@@ -260,8 +260,9 @@ class Pipeline:
         if params or set or seed is not None:
             changed = self.with_(params, set=set, seed=seed)
             return changed.run(output, threads=threads, jobs=jobs, until=until, cache=cache)
-        plan, rows, _ = checked(self._session, until, folder=Path(output or "."), jobs=jobs)
-        run = Run(self._session, plan, until=until, threads=threads or available_threads(), cache=_cache_folder(cache))
+        threads = available_threads() if threads is None else counted("threads", threads)
+        plan, rows, _ = checked(self._session, until, folder=Path(output or "."), jobs=counted("jobs", jobs))
+        run = Run(self._session, plan, until=until, threads=threads, cache=_cache_folder(cache))
         if rows:
             run._run_rows(rows, jobs)
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,10 @@ class Run:
         if self.table is not None:
             raise ConfigError("a sweep has no single result", hint="run.table has the numbers of all runs")
         return self._run().result(stage)
+
+    def __iter__(self) -> Iterator[str]:
+        """The ids of the stages."""
+        return (step.id for step in self._plan.until(self._until))
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -184,7 +188,8 @@ class Run:
         return str(self._plan.configuration.file.absolute())
 
     def __repr__(self) -> str:
-        return f"<Run {self._plan.name}: {', '.join(step.id for step in self._plan.steps)}>"
+        rows = "" if self.table is None else f", {self.table.rows} runs"
+        return f"<Run {self._plan.name}{rows}: {', '.join(self)}>"
 
     def _repr_html_(self) -> str:
         if self.table is not None:

@@ -36,7 +36,7 @@ class MemoryRun:
         """The result of a stage, also if it came from the cache; None for a stage that makes nothing."""
         ids = [entry["id"] for entry in self.record["stages"]]
         if id_ not in ids:
-            raise ConfigError(f"the run has no stage {id_!r}", hint=did_you_mean(id_, ids))
+            raise ConfigError(f"the run has no stage {id_!r}", hint=did_you_mean(str(id_), ids))
         try:
             return self.runner.result(id_)
         finally:

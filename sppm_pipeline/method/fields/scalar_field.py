@@ -125,7 +125,7 @@ class ScalarField(Artifact, ABC):
         return self.solid(resolution).astype(bool)
 
     def voxels(self, resolution: int = 64) -> Voxels:
-        """The image of voxels that ``extract.voxels`` makes; `Voxels.to_array` and writers take it from there."""
+        """The image of voxels that ``extract.voxels`` makes; `Voxels.to_numpy` and writers take it from there."""
         return cast("Voxels", self._made("extract.voxels", resolution=resolution))
 
     def mesh(self, resolution: int = 64) -> SurfaceMesh:

@@ -102,7 +102,7 @@ class Voxels(Artifact):
         voxels.check()
         return voxels
 
-    def to_array(self, axes: str = "xyz") -> U8 | F32:
+    def to_numpy(self, axes: str = "xyz") -> U8 | F32:
         """`values`, read-only, or with ``axes="zyx"`` the same indexed z, y, x."""
         return self.values.T if axes == "zyx" else self.values
 

@@ -151,9 +151,34 @@ class SliceStack(Artifact, ABC):
                 raise
             raise self._fault(f"that raised {type(error).__name__} when it was read: {error}") from error
 
-    def to_array(self, threads: int = 1) -> U8:
+    def to_numpy(self, threads: int = 1) -> U8:
         """All layers at once, uint8 [layer, y, x]; its transpose is the volume [x, y, z]. For what fits into memory."""
         return np.concatenate([slab.copy() for _, slab in self.slabs(threads)])
+
+    def __len__(self) -> int:
+        """The number of layers."""
+        return self.shape[2]
+
+    def __iter__(self) -> Iterator[U8]:
+        """The layers one by one, bottom first, each [y, x]."""
+        for _, layers in self.slabs():
+            yield from layers.copy()
+
+    def __getitem__(self, which: int | slice) -> U8:
+        """A layer [y, x], or a slice of them [layer, y, x]; those below are computed on the way."""
+        nx, ny, nz = self.shape
+        try:
+            wanted = range(nz)[which]
+        except IndexError:
+            raise IndexError(f"the stack has {nz} layers, got {which}") from None
+        numbers = wanted if isinstance(wanted, range) else (wanted,)
+        found: dict[int, U8] = {}
+        for start, layers in self.slabs() if numbers else ():
+            found |= {k: layers[k - start].copy() for k in numbers if start <= k < start + len(layers)}
+            if len(found) == len(numbers):
+                break
+        chosen = np.array([found[k] for k in numbers], np.uint8).reshape(-1, ny, nx)
+        return chosen if isinstance(wanted, range) else chosen[0]
 
     @staticmethod
     def from_array(

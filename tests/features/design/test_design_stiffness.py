@@ -216,10 +216,10 @@ def test_a_quarter_of_a_turn_of_what_is_laid_turns_its_stiffness():
     image = sppm.warp.affine(laid, turn=(0, 0, 90), resolution=96).voxels(24)
     plain = laid.voxels(24)
     # x goes to y, and y to -x
-    expected = np.rot90(plain.to_array(), 1, (0, 1))
-    assert (image.to_array() != expected).mean() < 0.002
+    expected = np.rot90(plain.to_numpy(), 1, (0, 1))
+    assert (image.to_numpy() != expected).mean() < 0.002
     of = [
-        sppm.homogenize.voxel(sppm.Voxels.from_array(v, periodic=True)).stiffness for v in (plain.to_array(), expected)
+        sppm.homogenize.voxel(sppm.Voxels.from_array(v, periodic=True)).stiffness for v in (plain.to_numpy(), expected)
     ]
     quarter = turned(np.array([0, 0, np.pi / 2]))
     assert of[1] == pytest.approx(rotated(of[0], quarter), abs=2e-3 * of[0].max())

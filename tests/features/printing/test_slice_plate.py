@@ -22,7 +22,7 @@ def test_copies_and_different_parts_keep_their_layers():
     (a, la), (b, lb) = stack((4, 10, 20), seed=1), stack((7, 16, 9), seed=2)
     context = PlainContext()
     plate = SlicePlate(quantity=(3, 2), separation=Length(0.3, "mm")).run(context, (a, b))
-    whole = plate.to_array()
+    whole = plate.to_numpy()
     assert plate.shape == whole.shape[::-1]
     assert plate.shape[2] == 7
     covered = np.zeros(whole.shape[1:], int)
@@ -74,7 +74,7 @@ def test_tags_stand_below_their_parts():
     part, _ = stack((30, 40, 80), seed=5)
     context = PlainContext()
     plate = SlicePlate(quantity=(2,), labels=True).run(context, (part,))
-    whole = plate.to_array()
+    whole = plate.to_numpy()
     assert ndimage.label(whole[0] > 0)[1] == 4  # two parts, two tags, and none touches another
     assert ndimage.label(whole[5] > 0)[1] >= 4  # letters
     assert (whole[5] > 0).sum() < (whole[0] > 0).sum()

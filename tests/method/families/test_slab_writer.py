@@ -184,7 +184,7 @@ class FullDisk:
 @pytest.mark.parametrize("how", ["damaged", "no room", "no folder", "disk full"])
 def test_without_sound_bits_slabs_are_evaluated_again(wang_tiling, ball, small_slabs, monkeypatch, tmp_path, how):
     stack = field_slices(Part(wang_tiling, ball, 0.0))
-    expected = stack.to_array() > 0
+    expected = stack.to_numpy() > 0
     if how == "no room":
         usage = namedtuple("usage", "free")
         monkeypatch.setattr(slab_passes.shutil, "disk_usage", lambda path: usage(100))

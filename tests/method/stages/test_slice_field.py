@@ -259,7 +259,7 @@ def test_a_part_that_falls_apart_is_refused_before_a_file_is_there(ball, tmp_pat
     WritePng().run(context, stack)
     found, grid = context.reported, stack.samples
     inside, whole = part.inside_zyx(grid, 0, grid.shape[2]), part.solid_zyx(grid, 0, grid.shape[2])
-    before, after = (1 - (solid > 0).sum() / inside.sum() for solid in (whole, stack.to_array()))
+    before, after = (1 - (solid > 0).sum() / inside.sum() for solid in (whole, stack.to_numpy()))
     assert found["porosity"] == pytest.approx(after)
     assert found["porosity_with_islands"] == pytest.approx(before)
     assert (after > before + 0.02) == (islands == "remove")

@@ -105,10 +105,10 @@ def test_pixels_along_x_and_y_are_not_taken_for_each_other(wang_tiling):
     stack = of_mesh(BAR, (0.3, 0.2, 0.5))
     assert stack.shape == (30, 20, 3)
     other = of_mesh(turned, (0.2, 0.3, 0.5))
-    assert np.array_equal(stack.to_array(), other.to_array().transpose(0, 2, 1))
+    assert np.array_equal(stack.to_numpy(), other.to_numpy().transpose(0, 2, 1))
     assert of_mesh(BAR, (0.2, 0.3, 0.5)).shape == (45, 14, 3)
     pitch = (0.31, 0.17, 0.43)
-    found = of_field(wang_tiling, pitch, islands="keep").to_array() > 0
+    found = of_field(wang_tiling, pitch, islands="keep").to_numpy() > 0
     for axis, name in enumerate("xyz"):
         assert found.shape[2 - axis] == -(-wang_tiling.cells[axis] * 4 // pitch[axis]), name
     x, y, z = ((np.arange(n) + 0.5) * h / 4 for n, h in zip(found.shape[::-1], pitch, strict=True))
@@ -124,7 +124,7 @@ def test_the_porosity_of_layers_is_that_of_the_field(wang_tiling, layer):
     stack = of_field(wang_tiling, pitch, islands="keep")
     whole = [int(cells * 4 / h + 1e-9) for cells, h in zip(wang_tiling.cells, pitch, strict=True)]  # within the cells
     nx, ny, nz = whole
-    found = stack.to_array()[:nz, :ny, :nx] > 0
+    found = stack.to_numpy()[:nz, :ny, :nx] > 0
     sx, sy, sz = (n * h / 4 / m for n, h, m in zip(whole, pitch, (300, 200, 200), strict=True))
     reference = wang_tiling.solid(Grid((sx / 2, sy / 2, sz / 2), (sx, sy, sz), (300, 200, 200)))
     assert found.mean() == pytest.approx(reference.mean(), abs=5e-4)
@@ -133,7 +133,7 @@ def test_the_porosity_of_layers_is_that_of_the_field(wang_tiling, layer):
 @pytest.mark.parametrize("layer", [0.1, 0.9])
 def test_layers_thinner_and_thicker_than_pixels_are_cut_at_mid_height(wang_tiling, layer):
     stack = of_field(wang_tiling, (0.3, 0.4, layer), islands="keep")
-    found = stack.to_array() > 0
+    found = stack.to_numpy() > 0
     (x, y, _), (hx, hy, _), (nx, ny, nz) = stack.grid
     for k in (0, 1, nz // 2, nz - 1):
         section = wang_tiling.solid(Grid((x, y, (k + 0.5) * layer / 4), (hx, hy, 1.0), (nx, ny, 1))).T[0]
@@ -146,10 +146,10 @@ def test_gray_of_pixels_that_are_not_square(wang_tiling):
     fine = of_field(wang_tiling, (0.075, 0.05, 0.5), islands="keep")
     ny, nx = stack.shape[1::-1]
     padded = np.zeros((stack.shape[2], 4 * ny, 4 * nx))
-    solid = fine.to_array() > 0
+    solid = fine.to_numpy() > 0
     padded[:, : solid.shape[1], : solid.shape[2]] = solid
     share = padded.reshape(-1, ny, 4, nx, 4).mean((2, 4))
-    shades = stack.to_array()[:, :, : nx - 1] / 255  # the last pixels reach beyond the cells
+    shades = stack.to_numpy()[:, :, : nx - 1] / 255  # the last pixels reach beyond the cells
     assert np.abs(shades - share[:, :, : nx - 1]).max() <= 0.5 / 255 + 1e-9
     assert len(np.unique(shades)) > 10
 
@@ -162,7 +162,7 @@ def test_islands_do_not_care_for_the_pitch(sliced):
         np.concatenate([BAR.faces, BAR.faces + 8, BALL.faces + 16]),
         name="three",
     )
-    kept = sliced(apart, (0.3, 0.4, 0.2)).to_array() > 0
+    kept = sliced(apart, (0.3, 0.4, 0.2)).to_numpy() > 0
     assert ndimage.label(kept)[1] == 3
     if sliced is of_mesh:
         stack = of_mesh(apart, (0.3, 0.4, 0.2), islands="remove")
@@ -179,8 +179,8 @@ def test_islands_do_not_care_for_the_pitch(sliced):
 def test_the_skin_is_as_thick_along_all_axes(wang_tiling, wedge, pitch):
     part = Part(wang_tiling, wedge, 0.5, "keep")
     stack = of_field(part, pitch)
-    found = stack.to_array() > 0
-    inside = of_mesh(wedge, pitch, anchor="origin").to_array() > 0
+    found = stack.to_numpy() > 0
+    inside = of_mesh(wedge, pitch, anchor="origin").to_numpy() > 0
     assert inside.shape == found.shape
     away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch[::-1])[1:-1, 1:-1, 1:-1]
     assert found[inside & (away <= 0.5)].all()
