@@ -89,7 +89,6 @@ def lazily(face: str, file: str) -> tuple[list[str], Callable[[str], Any], Calla
 
 def _hint(name: str, names: list[str]) -> str:
     """Hint: the face or the plugin in this repository that has a name, or a name that is nearly the same."""
-    from difflib import get_close_matches
     from importlib import import_module
 
     built_in = import_module("sppm_pipeline.built_in")
@@ -99,8 +98,10 @@ def _hint(name: str, names: list[str]) -> str:
     for other in _SUBFACES:
         if name in getattr(import_module(f"sppm_pipeline.{other}"), "__all__", ()):
             return f"; it is sppm_pipeline.{other}.{name}"
-    near = get_close_matches(name, names, 1)
-    return f"; did you mean {near[0]!r}?" if near else ""
+    from sppm_pipeline.errors import meant, near_names
+
+    near = near_names(name, names)
+    return f"; {meant(near)}" if near else ""
 
 
 __all__, _load, _ = lazily(__name__, __file__)

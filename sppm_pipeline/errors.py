@@ -139,14 +139,41 @@ class NativeCrash(SppmError):
     exit_code = 6
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint that names up to three similar names, such as those of which `word` is a part; else some of those known."""
+def listed(words: Iterable[str], conjunction: str = "and") -> str:
+    """``'a', 'b' and 'c'``."""
+    quoted = [repr(word) for word in words]
+    if len(quoted) < 2:
+        return "".join(quoted)
+    return f"{', '.join(quoted[:-1])} {conjunction} {quoted[-1]}"
+
+
+def near_names(word: str, known: Iterable[str]) -> list[str]:
+    """Up to three of `known` that `word` may stand for: but for case, as a part of dotted ones, or misspelled."""
     from difflib import get_close_matches
 
-    known = sorted(known)
-    close = [name for name in known if name.lower() == word.lower()]
-    close = close or [name for name in known if f".{word.lower()}." in f".{name.lower()}."]
-    close = close or get_close_matches(word, known, 1)
-    if close:
-        return f"did you mean {' or '.join(map(repr, close[:3]))}?"
-    return "known are " + ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
+    names, lower = sorted(set(known)), word.lower()
+    near = [name for name in names if name.lower() == lower]
+    near = near or [name for name in names if f".{lower}." in f".{name.lower()}."]
+    # 0.6 is the default of difflib; not sensitive: only which hint is given
+    near = near or get_close_matches(word, names, 3, 0.6)
+    # a forgotten or wrong family: dart_throwing for sample.dart_throwing
+    last = lower.rpartition(".")[2]
+    return (near or [name for name in names if name.lower().rpartition(".")[2] == last])[:3]
+
+
+def meant(names: Sequence[str]) -> str:
+    """The hint that names what may be meant."""
+    return f"did you mean {listed(names, 'or')}?"
+
+
+MOST_NAMED = 20
+"""Names that a hint lists where none is near."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str | None:
+    """A hint that names the nearest of `known`, or else the first of them; None if there are none."""
+    names = sorted(set(known))
+    if near := near_names(word, names):
+        return meant(near)
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"known: {', '.join(names[:MOST_NAMED])}{more}" if names else None

@@ -91,8 +91,7 @@ def cell(
     from sppm_pipeline.engine.config.configuration import stages_of
     from sppm_pipeline.engine.config.document import as_node, plain
     from sppm_pipeline.engine.config.options import options_of, plain_option
-    from sppm_pipeline.engine.config.problems import did_you_mean
-    from sppm_pipeline.errors import ConfigError, Position
+    from sppm_pipeline.errors import ConfigError, Position, did_you_mean
     from sppm_pipeline.method.fields.microstructure import Microstructure
     from sppm_pipeline.nouns.length import CELL_UNIT, Cell
 
@@ -123,11 +122,9 @@ def cell(
     for name in of_tuning:
         if name not in tuning or porosity is None:
             hint = did_you_mean(name, {*own, "porosity"}.union(*known_options))
-            raise ConfigError(
-                f"the preset {preset!r} has no parameter or option {name!r}",
-                hint="it is one of tune.porosity, which reaches a `porosity`: give one, too" if name in tuning
-                else hint or f"its parameters are {', '.join(own)}",
-            )  # fmt: skip
+            if name in tuning:
+                hint = "it is one of tune.porosity, which reaches a `porosity`: give one, too"
+            raise ConfigError(f"the preset {preset!r} has no parameter or option {name!r}", hint=hint)
     if porosity is not None:
         tune = make_function("tune.porosity")
         found = tune(target=porosity, recipe=stages, seed=seed, threads=threads, **of_tuning)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ResourceError, nearest
+from sppm_pipeline.errors import ResourceError, did_you_mean
 from sppm_pipeline.nouns.viewers import viewer_of
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Artifact:
             if name[0] != "_":
                 known = [one for one in dir(self) if one[0] != "_"]
                 more = ", ".join(f"{one}()" for one in known if one.startswith("to_") or one == "summary")
-                message += f"; {nearest(name, known)} (see also {more})"
+                message += f"; {did_you_mean(name, known)} (see also {more})"
             raise AttributeError(message)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:

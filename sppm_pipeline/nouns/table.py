@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.errors import ConfigError, nearest
+from sppm_pipeline.errors import ConfigError, did_you_mean
 from sppm_pipeline.nouns.artifact import Artifact, escaped, optional_module, shown
 
 MAX_ROWS = 20
@@ -175,7 +175,7 @@ class Table(Artifact):
             If there is none of that name.
         """
         if name not in self.columns:
-            raise ConfigError(f"the table has no column {name!r}", hint=nearest(name, self.columns))
+            raise ConfigError(f"the table has no column {name!r}", hint=did_you_mean(name, self.columns))
         return self.columns[name]
 
     def numbers(self, name: str) -> NDArray[np.float64]:

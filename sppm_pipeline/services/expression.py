@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.errors import ConfigError, nearest
+from sppm_pipeline.errors import ConfigError, did_you_mean
 from sppm_pipeline.services.arrays import F64
 
 MAX_LENGTH, MAX_DEPTH, MAX_OPERATIONS = 1000, 40, 200
@@ -177,7 +177,7 @@ class Expression:
                 self.used.setdefault(name, at)
                 make = name
             case ast.Name(id=name):
-                raise wrong(f"there is no name {brief(name)}", nearest(name, [*names, *CONSTANTS]))
+                raise wrong(f"there is no name {brief(name)}", did_you_mean(name, [*names, *CONSTANTS]))
             case ast.UnaryOp(op=op, operand=value):
                 make, of = _OPERATORS.get(type(op)), [value]
             case ast.BinOp(left=left, op=op, right=right):
@@ -193,7 +193,7 @@ class Expression:
                 if len(of) != wanted if wanted > 0 else len(of) < -wanted:
                     raise wrong(f"{name} takes {what}; got {len(of)} value(s)")
             case ast.Call(func=ast.Name(id=name)):
-                raise wrong(f"there is no function {brief(name)}", nearest(name, FUNCTIONS))
+                raise wrong(f"there is no function {brief(name)}", did_you_mean(name, FUNCTIONS))
         if make is None:
             what = (ast.get_source_segment(self.text.strip(), node) or "").strip()
             raise wrong(

@@ -59,7 +59,7 @@ def test_attributes_that_are_not_there_are_answered_by_those_that_are():
     made = Finer((1.0, 2.0), "MPa")
     with pytest.raises(AttributeError, match="a Finer has no 'part'; did you mean 'parts'"):
         _ = made.part
-    with pytest.raises(AttributeError, match=r"no 'zzz'; known are .*hidden.*more"):
+    with pytest.raises(AttributeError, match=r"no 'zzz'; known: .*hidden.*more"):
         _ = made.zzz
     assert not hasattr(made, "_private")
 

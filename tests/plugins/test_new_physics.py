@@ -85,7 +85,7 @@ def test_it_has_columns_in_the_table_of_a_sweep(tmp_path, capsys):
     assert [float(cell) for cell in rows[3].split("|")[1:-1]] == [0.5, 1.6, 1.56]
     config.write_text(SWEEP.replace("COLUMN", "eps.relativ.3"), encoding="utf-8")
     assert sppm("check", config) == 2
-    assert "did you mean eps.relative.3?" in capsys.readouterr().err
+    assert "did you mean 'eps.relative.3'" in capsys.readouterr().err
 
 
 def test_it_stands_in_the_reference(capsys):

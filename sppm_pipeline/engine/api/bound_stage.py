@@ -18,13 +18,13 @@ from sppm_pipeline.engine.api.registering import is_dataclass_itself, is_known, 
 from sppm_pipeline.engine.config.configuration import FORMAT, checked_seed, parse_configuration
 from sppm_pipeline.engine.config.document import Entry, compose
 from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option, with_current_names
-from sppm_pipeline.engine.config.problems import did_you_mean, raise_problems, shown
+from sppm_pipeline.engine.config.problems import raise_problems, shown
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.ports import Port, fits, port_words, signature_of
 from sppm_pipeline.engine.run.events import Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.run.runner import StepRunner, available_threads
-from sppm_pipeline.errors import ConfigError, WiringError
+from sppm_pipeline.errors import ConfigError, WiringError, did_you_mean
 from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.stage import Stage
 

@@ -19,14 +19,14 @@ from sppm_pipeline.engine.config.configuration import FORMAT, checked_seed
 from sppm_pipeline.engine.config.document import parse_yaml, plain, read_yaml
 from sppm_pipeline.engine.config.options import options_of, plain_option
 from sppm_pipeline.engine.config.parameters import Overrides
-from sppm_pipeline.engine.config.problems import listed, shown
+from sppm_pipeline.engine.config.problems import shown
 from sppm_pipeline.engine.plan.checking import checked
 from sppm_pipeline.engine.plan.plugins import REGISTERED, allowed_plugins
 from sppm_pipeline.engine.plan.session import RunRequest, Session, find_configuration, open_session
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.runner import available_threads
-from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.errors import ConfigError, InputError, listed
 from sppm_pipeline.nouns.artifact import escaped
 from sppm_pipeline.nouns.table import Table
 

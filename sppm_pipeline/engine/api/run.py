@@ -20,7 +20,7 @@ from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of, units_of
-from sppm_pipeline.errors import ConfigError, SppmError, nearest
+from sppm_pipeline.errors import ConfigError, SppmError, did_you_mean
 from sppm_pipeline.nouns.artifact import escaped, shown
 from sppm_pipeline.nouns.table import Table
 from sppm_pipeline.nouns.viewers import viewer_of
@@ -30,7 +30,7 @@ class Numbers(dict[str, float]):
     """The numbers of a run by ``<stage id>.<name>``; of an unknown one it is said what is known."""
 
     def __missing__(self, name: str) -> float:
-        hint = nearest(name, self) if self else "no stage of the run reports numbers"
+        hint = did_you_mean(name, self) or "no stage of the run reports numbers"
         raise ConfigError(f"the run has no number {name!r}", hint=hint)
 
 

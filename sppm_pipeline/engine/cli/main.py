@@ -171,14 +171,13 @@ def _of_plugin(verb: str, words: list[str]) -> _Verb:
     """A verb from a plugin; plugins are loaded only for a verb that is not built in."""
     from sppm_pipeline.engine.cli.arguments import commands_of_plugins
     from sppm_pipeline.engine.cli.commands import built_in_commands
-    from sppm_pipeline.engine.config.problems import listed, nearest
     from sppm_pipeline.engine.plan.plugins import ready_command
-    from sppm_pipeline.errors import ConfigError
+    from sppm_pipeline.errors import ConfigError, meant, near_names
 
     commands, failed = commands_of_plugins(load="--no-plugins" not in words)
     if verb not in commands:
-        near = nearest(verb, [*built_in_commands(), *commands])
-        hints = [f"did you mean {listed(near, 'or')}?" if near else "`sppm --help` lists them"]
+        near = near_names(verb, [*built_in_commands(), *commands])
+        hints = [meant(near) if near else "`sppm --help` lists them"]
         hints = [_MEANT[verb]] if verb in _MEANT else hints
         hints += [f"{plugin} could not be loaded and may supply it" for plugin in failed]
         raise ConfigError(f"there is no verb {verb!r}", hint="; ".join(hints))

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.config.document import Entry, Node, Override, as_node, plain
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, raise_problems, shown
-from sppm_pipeline.errors import ConfigError, Position
+from sppm_pipeline.engine.config.problems import Problems, raise_problems, shown
+from sppm_pipeline.errors import ConfigError, Position, did_you_mean
 from sppm_pipeline.hookspecs import Preset
 
 FORMAT = 1

@@ -16,8 +16,8 @@ from typing import Any
 from sppm_pipeline.engine.config.configuration import RESERVED
 from sppm_pipeline.engine.config.document import DECIMALS, Entry, Override, plain
 from sppm_pipeline.engine.config.names import fits_suffix, output_parts, suffix_words
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
-from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.engine.config.problems import Problems, shown
+from sppm_pipeline.errors import ConfigError, PluginError, did_you_mean
 from sppm_pipeline.nouns.length import CELL_UNIT, UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.stage import OptionSpec, Stage
 

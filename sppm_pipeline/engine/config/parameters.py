@@ -20,8 +20,8 @@ from sppm_pipeline.engine.config.document import (
     parse_yaml,
     plain,
 )
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, raise_problems, shown
-from sppm_pipeline.errors import ConfigError, Position
+from sppm_pipeline.engine.config.problems import Problems, raise_problems, shown
+from sppm_pipeline.errors import ConfigError, Position, did_you_mean, listed
 
 _WHOLE = re.compile(r"\$\{\s*(\w+)\s*\}")
 

@@ -1,8 +1,7 @@
-"""Errors of a configuration, reported in one pass, and guesses at what was meant."""
+"""Errors of a configuration, reported in one pass."""
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from typing import Any
 
@@ -21,36 +20,6 @@ def raise_problems(problems: Iterable[SppmError]) -> None:
     )
     if ordered:
         raise ordered[0] if len(ordered) == 1 else ConfigErrors(ordered)
-
-
-def nearest(word: str, known: Iterable[str]) -> list[str]:
-    """Up to three of `known` that look like `word`, or whose last part is the same; the nearest first."""
-    candidates = sorted(set(known))
-    if same := [name for name in candidates if name.lower() == word.lower()]:
-        return same[:3]
-    # 0.6 is difflib's default; not sensitive: only which hint is given
-    near = difflib.get_close_matches(word, candidates, n=3, cutoff=0.6)
-    if near:
-        return near
-    # a forgotten or wrong family: dart_throwing for sample.dart_throwing
-    last = word.rsplit(".", 1)[-1]
-    return [name for name in candidates if name.rsplit(".", 1)[-1] == last][:3]
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str | None:
-    """A hint naming the nearest of `known`; the whole list if it is short and nothing is near; else None."""
-    candidates = sorted(set(known))
-    if near := nearest(word, candidates):
-        return f"did you mean {listed(near, 'or')}?"
-    return f"known: {', '.join(candidates)}" if 0 < len(candidates) <= 12 else None
-
-
-def listed(words: Iterable[str], conjunction: str = "and") -> str:
-    """``'a', 'b' and 'c'``."""
-    quoted = [repr(word) for word in words]
-    if len(quoted) < 2:
-        return "".join(quoted)
-    return f"{', '.join(quoted[:-1])} {conjunction} {quoted[-1]}"
 
 
 def shown(value: Any, length: int = 60) -> str:

@@ -13,12 +13,12 @@ from pathlib import Path, PurePath
 from typing import NamedTuple
 
 from sppm_pipeline.engine.config.options import Option, options_of
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, nearest, raise_problems, shown
+from sppm_pipeline.engine.config.problems import Problems, raise_problems, shown
 from sppm_pipeline.engine.plan.estimate import NONE_SEEN, History, PlanEstimate, estimate_plan, unfit_problems
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Drafts, Plan, draft_plan, wire_plan
 from sppm_pipeline.engine.plan.session import Row, Session
 from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.errors import ConfigError, SppmError, did_you_mean, meant, near_names
 from sppm_pipeline.stage import Stage
 
 MAX_CHECKED = 1000
@@ -219,14 +219,13 @@ class TableNames:
 
     def _hint(self, column: str) -> str:
         numbers = sorted(f"{id_}.{name}" for id_, names in self._numbers.items() for name in names or ())
-        below = [name for name in numbers if name.startswith(f"{column}.")]
-        if near := below or nearest(column, (*self._own, *numbers)):
-            return f"did you mean {near[0]}?"
+        if near := near_names(column, (*self._own, *numbers)):
+            return meant(near)
         id_ = next((id_ for id_ in self._numbers if column.startswith(f"{id_}.")), None)
         if id_ is not None:
             return f"numbers of {id_}: {', '.join(sorted(self._numbers[id_] or ()))}"
-        if near := nearest(column.partition(".")[0], self._numbers):
-            return f"did you mean {near[0]}?"
+        if near := near_names(column.partition(".")[0], self._numbers):
+            return meant(near)
         return f"there are {', '.join(self._own)}, and numbers of stages as STAGE.NAME: {', '.join(self._numbers)}"
 
 

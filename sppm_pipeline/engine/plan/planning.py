@@ -28,12 +28,12 @@ from sppm_pipeline.engine.config.options import (
     with_current_names,
 )
 from sppm_pipeline.engine.config.parameters import Overrides, override_options, override_params, put_in
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, raise_problems
+from sppm_pipeline.engine.config.problems import Problems, raise_problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Draft, Step, Wired, recipe_names, recipe_order, wire
 from sppm_pipeline.engine.process.containment import contained
-from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError, described
+from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError, described, did_you_mean
 
 SWEEP_ID = "sweep"
 """Id under which the stages of `after` find the table of the sweep."""

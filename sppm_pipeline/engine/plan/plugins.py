@@ -21,11 +21,11 @@ import pluggy
 import sppm_pipeline
 from sppm_pipeline import hookspecs
 from sppm_pipeline.built_in import BUILTINS
-from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
+from sppm_pipeline.engine.config.problems import shown
 from sppm_pipeline.engine.plan import installed
 from sppm_pipeline.engine.plan.installed import normal
 from sppm_pipeline.engine.process.containment import guarded
-from sppm_pipeline.errors import ConfigError, PluginError, SppmError, described, harmless, text_of
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError, described, did_you_mean, harmless, listed, text_of
 from sppm_pipeline.nouns.viewers import Viewer, add_viewers
 
 if TYPE_CHECKING:

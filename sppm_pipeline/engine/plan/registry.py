@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from sppm_pipeline.built_in import PLUGIN_OF, install_words
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.config.problems import listed, nearest, shown
+from sppm_pipeline.engine.config.problems import shown
 from sppm_pipeline.engine.plan.installed import normal
 from sppm_pipeline.engine.plan.plugins import (
     Plugin,
@@ -20,7 +20,7 @@ from sppm_pipeline.engine.plan.plugins import (
     stage_classes,
 )
 from sppm_pipeline.engine.plan.ports import signature_of
-from sppm_pipeline.errors import ConfigError, PluginError, Position
+from sppm_pipeline.errors import ConfigError, PluginError, Position, meant, near_names
 from sppm_pipeline.stage import FAMILIES, Stage, StageAlias
 
 
@@ -89,10 +89,10 @@ class Registry:
             return self._not_there(PLUGIN_OF[name]), True
         family, _, word = name.partition(".")
         siblings = [known for known in self if known.startswith(f"{family}.")]
-        near = [f"{family}.{found}" for found in nearest(word, [known.partition(".")[2] for known in siblings])]
-        near = near or self._writing(siblings, word) or ([] if siblings else nearest(name, self))
+        near = [f"{family}.{found}" for found in near_names(word, [known.partition(".")[2] for known in siblings])]
+        near = near or self._writing(siblings, word) or ([] if siblings else near_names(name, self))
         if near:
-            hints = [f"did you mean {listed(near, 'or')}?"]
+            hints = [meant(near)]
         elif siblings:
             hints = [f"stages of this family: {', '.join(siblings)}"]
         else:

@@ -17,12 +17,12 @@ from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, read_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed
+from sppm_pipeline.engine.config.problems import Problems
 from sppm_pipeline.engine.files import packaged_folder, write_whole
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, did_you_mean, listed
 
 
 def find_configuration(name: str) -> Path:

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 from sppm_pipeline.engine.config.configuration import StageEntry
 from sppm_pipeline.engine.config.document import Node, plain
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, shown
+from sppm_pipeline.engine.config.problems import Problems, shown
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.ports import Port, Signature, artifact_words, fits, port_words, signature_of
-from sppm_pipeline.errors import Position, WiringError
+from sppm_pipeline.errors import Position, WiringError, did_you_mean, listed
 from sppm_pipeline.stage import Stage
 
 

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
 from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.process.resident import share_one_heap
 from sppm_pipeline.engine.process.tree import die_with_parent
-from sppm_pipeline.errors import ConfigError, PluginError, SppmError, described
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError, described, did_you_mean
 from sppm_pipeline.hookspecs import hookimpl
 
 

@@ -10,13 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import Scratch
 from sppm_pipeline.engine.run.record import record_of
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store

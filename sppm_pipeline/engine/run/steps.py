@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
-from sppm_pipeline.engine.config.problems import did_you_mean, listed, nearest
 from sppm_pipeline.engine.files import DISK
 from sppm_pipeline.engine.plan.checking import declared_numbers, is_declared
 from sppm_pipeline.engine.plan.ports import artifact_words
@@ -33,6 +32,10 @@ from sppm_pipeline.errors import (
     ResourceError,
     SppmError,
     described,
+    did_you_mean,
+    listed,
+    meant,
+    near_names,
     text_of,
 )
 from sppm_pipeline.nouns.artifact import Artifact
@@ -179,12 +182,11 @@ class StepRecipe(Recipe):
         hint = f"there are {', '.join(sorted(numbers))}"
         if owners:
             own = sorted(declared[owners[0]] or ())
-            near = near or [f"{owners[0]}.{word}" for word in nearest(name[len(owners[0]) + 1 :], own)]
+            near = near or [f"{owners[0]}.{word}" for word in near_names(name[len(owners[0]) + 1 :], own)]
             hint = f"numbers of {owners[0]}: {', '.join(own)}"
-        near = near or ([] if owners else nearest(name, numbers))
-        if near:
-            hint = f"did you mean {listed(near, 'or')}?"
-        raise ConfigError(f"no stage of the recipe {self.name!r} reports a number {name!r}", hint=hint)
+        near = near or ([] if owners else near_names(name, numbers))
+        message = f"no stage of the recipe {self.name!r} reports a number {name!r}"
+        raise ConfigError(message, hint=meant(near) if near else hint)
 
     def run(
         self,

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError, nearest
+from sppm_pipeline.errors import ConfigError, DesignError, did_you_mean
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
 from sppm_pipeline.nouns.palette import Maps
 from sppm_pipeline.services.arrays import F64, Bools
@@ -301,7 +301,7 @@ class Grading(Maps):
         for law in self.laws:
             if law.name == name:
                 return law
-        hint = nearest(name, self.names) if self.laws else "put a `grade` stage before this one"
+        hint = did_you_mean(name, self.names) if self.laws else "put a `grade` stage before this one"
         raise ConfigError(f"the grading has no map {name!r}", hint=hint)
 
     def added(self, law: Law) -> Grading:

@@ -6,7 +6,6 @@ Cards stand in YAML files, those of the program in ``formats/printers``; users g
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import typing
 from collections.abc import Iterable, Mapping
@@ -16,7 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.errors import ConfigError, DesignError, InputError, did_you_mean, meant, near_names
 from sppm_pipeline.nouns.length import Length, Pixel, voxel_mm
 
 FORMATS = ("sl1", "goo", "nanodlp")
@@ -293,10 +292,9 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
     # first names that contain the word or are part of it, then misspelled ones, then those with a similar part
     parts = {part for key in known for part in key.split("_")}
     near = sorted((key for key in known if word in key or key in word), key=len)
-    near = near or difflib.get_close_matches(word, known, 3, 0.6)
-    close = difflib.get_close_matches(word, parts, 1)
-    near = near or sorted((key for key in known if close and close[0] in key), key=len)
-    hint = f"did you mean {' or '.join(repr(key) for key in near[:3])}? {where}" if near else where
+    near = near or near_names(word, known)
+    near = near or sorted((key for key in known if any(part in key for part in near_names(word, parts))), key=len)
+    hint = f"{meant(near[:3])} {where}" if near else where
     raise ConfigError(f"`{kind}`: there is no {kind} called {name!r}", hint=hint)
 
 
@@ -379,11 +377,7 @@ def _card(kind: type[Any], name: str, entry: Any, file: str) -> Any:
     own = {} if kind is Motion else {"name": name}
     fields = {f.name: f for f in dataclasses.fields(kind) if f.name not in own}
     if unknown := [key for key in entry if key not in fields]:
-        near = difflib.get_close_matches(str(unknown[0]), fields, 1)
-        raise InputError(
-            f"{where}: unknown entry {unknown[0]!r}",
-            hint=f"did you mean {near[0]!r}?" if near else f"known: {', '.join(fields)}",
-        )
+        raise InputError(f"{where}: unknown entry {unknown[0]!r}", hint=did_you_mean(str(unknown[0]), fields))
     if missing := [key for key, f in fields.items() if f.default is dataclasses.MISSING and key not in entry]:
         raise InputError(f"{where}: the entry {missing[0]!r} is missing")
     values = {key: _value(hints[key], fields[key].metadata, value, f"{where}: {key}") for key, value in entry.items()}

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline.errors import InputError, did_you_mean
 from sppm_pipeline.services.arrays import F64
 from sppm_pipeline.services.formats.input_file import require_file
 
@@ -74,12 +73,10 @@ def _place(file: str, found: list[str], name: str) -> int:
     count = found.count(name.lower())
     if count == 1:
         return found.index(name.lower())
-    listed = ", ".join(word[:40] for word in found[:20])
     if count:
+        listed = ", ".join(word[:40] for word in found[:20])
         raise InputError(f"{file} has {count} columns {name!r}", hint=f"its columns are {listed}")
-    close = get_close_matches(name.lower(), found, 1)
-    hint = f"did you mean {close[0][:40]!r}? " if close else ""
-    raise InputError(f"{file} has no column {name[:40]!r}", hint=f"{hint}its columns are {listed}")
+    raise InputError(f"{file} has no column {name[:40]!r}", hint=did_you_mean(name, [word[:40] for word in found]))
 
 
 def _explained(message: str, above: int) -> str:

@@ -173,7 +173,7 @@ def test_numbers_that_are_not_there_are_answered_by_those_that_are(capsys):
     for name, told in (
         ("E", "did you mean 'cell.E' or 'solid.E.1'?"),
         ("solid.E1", "did you mean 'solid.E.1'?"),
-        ("typo", "known are cell.E, solid.C.1.1, (.*) and 18 more"),
+        ("typo", "known: cell.E, solid.C.1.1, (.*) and 18 more"),
     ):
         with pytest.raises(sppm.ConfigError, match=rf"no number '{name}'\n.*{told}"):
             many[name]
@@ -264,7 +264,7 @@ def test_a_cell_takes_the_options_of_its_stages():
         ({"radius": 0.1}, "did you mean 'pore_radius' or 'tunnel_radius'?"),
         ({"porosty": 0.6}, "did you mean 'porosity'?"),
         ({"resolution": 24}, "give one, too"),
-        ({"colour": 1}, "its parameters are total, share"),
+        ({"colour": 1}, "known: "),
         ({"omega": 20, "pore_radius": 0.1}, "by one of `pore_radius` and `omega`"),
         ({"pore_radius": "0.5 mm"}, "`edge: 7.5 mm`"),
         ({"edge": "4 foo"}, "unknown unit 'foo'"),

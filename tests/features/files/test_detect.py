@@ -62,7 +62,7 @@ def test_the_byte_order_mark_of_utf_8_hides_no_vertex() -> None:
 def test_unknown_extensions() -> None:
     with pytest.raises(InputError, match=r"a \.stp file holds a CAD model"):
         format_of_name("part.stp")
-    with pytest.raises(InputError, match=r"did you mean \.stl"):
+    with pytest.raises(InputError, match=r"did you mean '\.stl"):
         format_of_name("part.sttl")
     with pytest.raises(InputError, match="none"):
         decode_mesh(OBJ, "part")

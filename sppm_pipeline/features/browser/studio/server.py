@@ -15,9 +15,8 @@ from typing import Any
 from urllib.parse import parse_qs, quote
 
 from sppm_pipeline.engine.cli.new import DESIGNS
-from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
-from sppm_pipeline.errors import ConfigError, InputError, SppmError
+from sppm_pipeline.errors import ConfigError, InputError, SppmError, did_you_mean
 from sppm_pipeline.features.browser.live.serving import LocalHandler, LocalServer
 from sppm_pipeline.features.browser.studio.controls import places, with_values
 from sppm_pipeline.features.browser.studio.design import START, Changed, Design, Superseded

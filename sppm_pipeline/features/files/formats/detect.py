@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-from difflib import get_close_matches
 from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline.errors import InputError, did_you_mean
 from sppm_pipeline.features.files.formats import glb, obj, off, three_mf
 from sppm_pipeline.services.arrays import F64, I64
 from sppm_pipeline.services.formats import ply, stl
@@ -75,12 +74,9 @@ def format_of_name(name: str) -> str:
             hint=f"{by_plugin}export it from the CAD program as STL or 3MF",
         )
     if extension not in FORMATS and extension not in others():
-        known = ", ".join(f".{known}" for known in FORMATS)
-        close = get_close_matches(extension, FORMATS, n=1)
-        meant = f"; did you mean .{close[0]}?" if close else ""
         raise InputError(
             f"{name}: the extension {'.' + extension if extension else '(none)'} is no mesh format",
-            hint=f"known are {known}{meant}",
+            hint=did_you_mean(f".{extension}", [f".{known}" for known in FORMATS]),
         )
     return extension
 

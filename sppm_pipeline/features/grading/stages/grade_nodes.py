@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sppm_pipeline import ConfigError, Context, InputError, Length, SurfaceMesh, option, options
-from sppm_pipeline.errors import nearest
+from sppm_pipeline.errors import did_you_mean
 from sppm_pipeline.features.grading.grader import DataGrader
 from sppm_pipeline.features.grading.laws import (
     CORNERS,
@@ -116,7 +116,7 @@ class GradeNodes(DataGrader):
             raise InputError(f"{self.path.name} holds {len(names)} arrays", hint=hint)
         name = names[0] if self.array is None else self.array
         if name not in names:
-            hint = nearest(name, names)[:300] if names else "the file holds no arrays at all"
+            hint = (did_you_mean(name, names) or "the file holds no arrays at all")[:300]
             raise InputError(f"{self.path.name} has no array {name[:60]!r}", hint=hint)
         of_cells = name not in read.point_data
         parts = [read.cell_data[name][i] for i in places] if of_cells else [read.point_data[name]]

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline import ConfigError, Context, SurfaceMesh, option, options
-from sppm_pipeline.errors import nearest
+from sppm_pipeline.errors import did_you_mean
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.laws import TableLaw
 from sppm_pipeline.method.nouns.maps import COORDINATES, Grading
@@ -62,7 +62,7 @@ class GradeTable(Grader):
             along = f"cell_{along}" if self.unit == "cells" else along
             factor = UNITS_IN_MM.get(self.unit, 1.0)
         elif along not in before:
-            hint = nearest(along, [*COORDINATES, *before.names])
+            hint = did_you_mean(along, [*COORDINATES, *before.names])
             raise ConfigError(f"`along: {along[:40]}` is neither x, y, z nor an earlier map", hint=hint)
         pairs = np.array(self.values, np.float64)
         places, values = factor * pairs[:, 0], self.factor * pairs[:, 1]
