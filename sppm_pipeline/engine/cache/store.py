@@ -10,7 +10,7 @@
 
 An entry is written elsewhere and renamed into place in one step, its manifest last; one without a sound manifest does
 not exist. Processes share a cache without waiting for each other: of several that make the same entry, the first one
-to be ready puts it there. A reader that finds an entry damaged removes it.
+to be ready puts it there, and others add what it lacks. A reader that finds an entry damaged removes it.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class Store:
         outputs: Sequence[tuple[str, Path]] = (),
         durable: bool = False,
     ) -> None:
-        """Keep a result, with outputs as (name, path); if the key has an entry that holds as much already, that stays.
+        """Keep a result, with outputs as (name, path); an entry that the key has already gets what it lacks.
 
         `key`, `format`, `value` and `outputs` are added to the JSON-ready manifest. `durable` waits for the disk;
         without it an entry that a power cut damages is noticed by its digests. Raises `OSError` if there is no space or
@@ -160,19 +160,14 @@ class Store:
                 whole["value"] = [list(file) for file in save_value(value, fresh, durable=durable)]
             if outputs:
                 whole["outputs"] = _pack(fresh / OUTPUTS, outputs, durable)
-            text = json_text(sealed(whole)).encode()
-            with (fresh / MANIFEST).open("xb") as file:
-                file.write(text)
-                if durable:
-                    file.flush()
-                    os.fsync(file.fileno())
+            _write_manifest(fresh, whole, durable)
             size = sum(file.stat().st_size for file in fresh.iterdir())
-            self._put_into_place(key, fresh)
+            self._put_into_place(key, fresh, durable)
             self.written += size
         finally:
             shutil.rmtree(fresh, ignore_errors=True)
 
-    def _put_into_place(self, key: str, fresh: Path) -> None:
+    def _put_into_place(self, key: str, fresh: Path, durable: bool) -> None:
         place = self.place(key)
         place.parent.mkdir(parents=True, exist_ok=True)
         # other processes may put the same entry there between two steps; a few tries outlast them
@@ -183,7 +178,6 @@ class Store:
             except OSError as error:
                 if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                     raise
-            # an entry that lacks something this one has makes way
             try:
                 there = self.find(key, touch=False)
             except DamagedError:
@@ -193,9 +187,19 @@ class Store:
                 continue
             # one may hold the artifact and the other the files, depending on what a run could afford
             mine = Entry(key, fresh, read_sealed((fresh / MANIFEST).read_bytes()))
-            if (there.has_value or not mine.has_value) and (there.has_outputs or not mine.has_outputs):
+            lacking = {
+                kind: mine.manifest[kind]
+                for kind in ("value", "outputs")
+                if there.manifest[kind] is None and mine.manifest[kind] is not None
+            }
+            if not lacking:
                 return
-            self.remove(key)
+            # its files first, which no manifest names yet, then one that names all: nothing is lost wherever this ends
+            for name in Entry(key, fresh, {"value": None, "outputs": None, **lacking}).files():
+                os.replace(fresh / name, place / name)
+            _write_manifest(fresh, {**there.manifest, **lacking}, durable)
+            os.replace(fresh / MANIFEST, place / MANIFEST)
+            return
 
     def remove(self, key: str) -> None:
         """Take an entry away, in one step, so that no reader sees half of it."""
@@ -268,6 +272,14 @@ class Store:
             for group in sorted(os.listdir(self.root / "entries")):
                 with contextlib.suppress(OSError):
                     yield from sorted(os.listdir(self.root / "entries" / group))
+
+
+def _write_manifest(folder: Path, manifest: Mapping[str, Any], durable: bool) -> None:
+    with (folder / MANIFEST).open("wb") as file:
+        file.write(json_text(sealed(manifest)).encode())
+        if durable:
+            file.flush()
+            os.fsync(file.fileno())
 
 
 def _pack(path: Path, outputs: Sequence[tuple[str, Path]], durable: bool) -> dict[str, Any]:
