@@ -26,7 +26,7 @@ from sppm_pipeline.engine.api.registering import registry
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.describe import makes_words, option_words
 from sppm_pipeline.engine.plan.ports import port_words, signature_of
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, did_you_mean
 from sppm_pipeline.stage import FAMILIES, Stage
 
 OF_STEPS = ("id", "sources")
@@ -71,6 +71,9 @@ def _called(cls: type[Stage], runs: bool, artifacts: Sequence[Any], given: dict[
     recipe = given.pop("recipe", None)
     bound: BoundStage[Any, Any] = BoundStage(cls.name, given, recipe, **as_step)
     if runs and not any(value is not None for value in as_step.values()):
+        if isinstance(recipe, str) and "seed" in for_run and recipe not in registry().presets:
+            # a recipe of a pipeline has a name, too, and no call has one
+            raise ConfigError(f"there is no preset {recipe!r}", hint=did_you_mean(recipe, registry().presets))
         waits = not all(port.optional for port in ports) or (
             "seed" not in for_run and (cls.is_random or recipe is not None)
         )

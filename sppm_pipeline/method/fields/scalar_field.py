@@ -187,7 +187,11 @@ class ScalarField(Artifact, ABC):
         return make_function(stage)(self, **options)
 
     def _grid(self, grid: Grid | int) -> Grid:
-        return grid if isinstance(grid, Grid) else cell_centers(grid, self.cells)
+        if isinstance(grid, Grid):
+            return grid
+        if not isinstance(grid, (int, np.integer)) or isinstance(grid, bool) or grid < 1:
+            raise ValueError(f"the resolution is an integer, voxels along the edge of a cell, at least 1, got {grid!r}")
+        return cell_centers(int(grid), self.cells)
 
     def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U8:
         """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs.

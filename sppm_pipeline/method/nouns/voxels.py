@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.nouns.artifact import Artifact, optional_module
+from sppm_pipeline.nouns.length import parse_length
 from sppm_pipeline.services.arrays import F32, U8, Bools
 
 THIN = 3
@@ -61,7 +62,7 @@ class Voxels(Artifact):
         cls,
         array: ArrayLike,
         *,
-        spacing: float | tuple[float, float, float] | None = None,
+        spacing: float | str | tuple[float | str, float | str, float | str] | None = None,
         periodic: bool | tuple[bool, bool, bool] = False,
         axes: str = "xyz",
     ) -> Voxels:
@@ -71,8 +72,9 @@ class Voxels(Artifact):
         ----------
         array : (nx, ny, nz) array_like
             Truth values (True is solid), phases as integers from 0 (void) to 255, or solid fractions as floats.
-        spacing : float or (sx, sy, sz), optional
-            Edges of a voxel, mm. Without it the image is a cell without a physical size, whose longest side is 1.
+        spacing : float or str or (sx, sy, sz), optional
+            Edges of a voxel, mm, or with their unit: "50 um". Without it the image is a cell without a physical size,
+            whose longest side is 1.
         periodic : bool or 3 bools
             Whether opposite sides are neighbors: True for a periodic cell, False for a scan.
         axes : {"xyz", "zyx"}
@@ -92,10 +94,14 @@ class Voxels(Artifact):
         if values.ndim != 3 or not values.size or values.dtype.kind not in "biuf":
             raise ValueError(f"voxels need three axes of numbers, got shape {values.shape} of {values.dtype}")
         # without a size the longest side is one cell
-        edges = (1.0 / max(values.shape),) * 3 if spacing is None else spacing
+        edges = 1.0 / max(values.shape) if spacing is None else spacing
+        x, y, z = (
+            parse_length(edge).mm() if isinstance(edge, str) else float(edge)
+            for edge in (edges if isinstance(edges, tuple) else (edges,) * 3)
+        )
         voxels = cls(
             values.T if axes == "zyx" else values,
-            edges if isinstance(edges, tuple) else (float(edges),) * 3,
+            (x, y, z),
             spacing is not None,
             periodic if isinstance(periodic, tuple) else (periodic,) * 3,
         )

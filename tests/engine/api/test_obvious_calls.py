@@ -81,6 +81,12 @@ def test_hints_for_what_others_would_write(small):
     ):
         with pytest.raises(sppm.ConfigError, match=re.escape(words)):
             call()
+    with pytest.raises(sppm.ConfigError, match=r"no preset 'papr'\n.*did you mean 'paper'"):
+        sppm.tune.porosity(target=0.5, recipe="papr", seed=1)
+    for resolution in (0, "64", 1.5, (16, 16, 16), True):
+        with pytest.raises(ValueError, match="the resolution is an integer"):
+            small.to_numpy(resolution)
+    assert sppm.Voxels.from_array(np.ones((4, 4, 4), bool), spacing="50 um").spacing == (0.05, 0.05, 0.05)
     with pytest.raises(ValueError, match="Length"):
         sppm.Length("4 mm")
     with pytest.raises(ValueError, match="edge of a cell"):
