@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -113,6 +114,19 @@ def test_every_task_has_inputs_truth_and_a_checker():
         assert all(set(one) == keys for one in task["inputs"])
         assert callable(bench.load(folder / "check.py").check)
         assert f"| `{folder.name}` |" in (bench.HERE / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_page_has_the_table_of_each_task_as_the_script_writes_it():
+    text = (bench.HERE / "README.md").read_text(encoding="utf-8").split(bench.MARK)[1]
+    found = re.findall(r"^(\w+)\n\n(.+)\n\|[-|]+\n((?:\|.+\n)+)", text, re.MULTILINE)
+    assert [task for task, _, _ in found] == list(bench.tasks())
+    for task, _, rows in found:
+        shown = re.findall(r"^\| `(\w+)`", rows, re.MULTILINE)
+        asks = bench.asked(bench.tasks()[task])[0]
+        able = {path.stem for path in (bench.HERE / "tools").glob("*.py") if f"def {asks}(" in path.read_text()}
+        assert set(shown) == able
+    made = bench.as_table("porosity", {"spinodoid": {"largest error": 0.001, "mean error": 0.0005, "CPU s": 1.0}})
+    assert made.strip().splitlines()[2] == next(head for task, head, _ in found if task == "porosity")
 
 
 def test_tools_are_short_and_give_periodic_cells_of_the_asked_porosity():

@@ -7,11 +7,15 @@ import importlib.util
 import json
 import time
 import warnings
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from benchmarks.measure import between_marks
+
 HERE = Path(__file__).parent
+MARK = "<!-- python -m benchmarks.stochbench --write -->"
 
 
 def load(path: Path) -> ModuleType:
@@ -61,13 +65,26 @@ def run(tool: ModuleType, folder: Path) -> dict[str, Any]:
     return {**check.check(cells, task["inputs"], truth), "CPU s": round(seconds, 1)}
 
 
+def as_table(task: str, rows: dict[str, dict[str, Any]]) -> str:
+    """The numbers of all tools in a task; a tool that needs other programs with their versions."""
+    heads = list(next(iter(rows.values())))
+    lines = [f"\n{task}\n", f"| tool | {' | '.join(heads)} |", f"|---|{'---|' * len(heads)}"]
+    for tool, row in rows.items():
+        needs = [f"{one} {metadata.version(one)}" for one in getattr(load(HERE / "tools" / f"{tool}.py"), "NEEDS", ())]
+        shown = (f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
+        lines.append(f"| {' of '.join([f'`{tool}`', *needs])} | {' | '.join(shown)} |")
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tool", action="append", choices=list(tools()))
     parser.add_argument("--task", action="append", choices=list(tasks()))
+    parser.add_argument("--write", action="store_true", help="put the tables into README.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore")  # a tool may say what it had to change to reach a porosity
+    text = ""
     for name, folder in tasks().items():
         if args.task and name not in args.task:
             continue
@@ -75,10 +92,11 @@ def main() -> None:
         rows = {tool: run(module, folder) for tool, module in able.items() if not args.tool or tool in args.tool}
         if not rows:
             continue
-        heads = list(next(iter(rows.values())))
-        print(f"\n{name}\n\n| tool | {' | '.join(heads)} |\n|---|{'---|' * len(heads)}")
-        for tool, row in rows.items():
-            print(f"| {tool} | {' | '.join(f'{v:.4g}' if isinstance(v, float) else str(v) for v in row.values())} |")
+        table = as_table(name, rows)
+        print(table, flush=True)
+        text += table
+    if args.write:
+        between_marks(HERE / "README.md", MARK, text)
 
 
 if __name__ == "__main__":
