@@ -98,10 +98,9 @@ def _hint(name: str, names: list[str]) -> str:
     for other in _SUBFACES:
         if name in getattr(import_module(f"sppm_pipeline.{other}"), "__all__", ()):
             return f"; it is sppm_pipeline.{other}.{name}"
-    from sppm_pipeline.errors import meant, near_names
-
-    near = near_names(name, names)
-    return f"; {meant(near)}" if near else ""
+    errors = import_module("sppm_pipeline.errors")
+    near = errors.near_names(name, names)
+    return f"; {errors.meant(near)}" if near else ""
 
 
 __all__, _load, _ = lazily(__name__, __file__)
