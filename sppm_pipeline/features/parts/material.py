@@ -24,6 +24,7 @@ from sppm_pipeline.services.elastic.elastic_level import Moduli
 from sppm_pipeline.services.elastic.loaded import HeldBody, Loaded, strains_of, unpacked, von_mises
 from sppm_pipeline.services.mesh.box_tree import box_tree
 from sppm_pipeline.services.monotone_cubic import monotone_cubic
+from sppm_pipeline.services.multigrid.vectors import dot
 from sppm_pipeline.services.nearest import surface_distances
 
 MAX_ELEMENTS = 128
@@ -256,7 +257,12 @@ def simulated(
         used = ready.body.used()
         u *= used
         forces = solver.forces(u)
-        energy = sum(works(one, u, forces))
+        loads, moves = works(one, u, forces)
+        energy = loads + moves
+        if not (loads and moves):
+            # their sum is of first order in what the solver leaves; this is of second order, as the energy itself
+            stored = dot(forces.reshape(-1), u.reshape(-1))
+            energy = 2 * loads - stored if loads else stored
         # what is held carries the forces there, less the loads that act on it
         own = one.fixed.reshape(-1)[one.pulled.at]
         direct = np.bincount(one.pulled.at[own] // (u.size // 3), one.pulled.values[own], 3)

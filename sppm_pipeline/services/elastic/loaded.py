@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.services.arrays import F32, F64, Bools
 from sppm_pipeline.services.elastic.elastic_level import STRETCH, ElasticLevel, Moduli, coefficients, largest_eigenvalue
 from sppm_pipeline.services.elastic.elastic_operator import SCRATCH_ROWS
+from sppm_pipeline.services.elastic.local_solves import correct_locally
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, coarser, node_sums, padded
 from sppm_pipeline.services.multigrid.rows import APPLY
@@ -237,6 +238,18 @@ class HeldBody:
         self._free = copy(levels[0])
         self._free.hold(np.zeros_like(self.fixed))
 
+    def _correct(self, b: NDArray[Any], u: NDArray[Any], p: NDArray[Any]) -> tuple[float, float]:
+        """`correct_locally`; only voxels of one Poisson's ratio, the resolved ones, have what is slow."""
+        level = self.hierarchy.levels[0]
+        if type(level) is not ElasticLevel:
+            return 0.0, 0.0
+        nz, ny, nx = level.shape
+        moduli = level.moduli.each(lambda values: values[: nz - 1, : ny - 1, : nx - 1])
+        used = level.weight.reshape(level.shape) > 0
+        return correct_locally(
+            moduli, self.fixed, used, lambda some, held: HeldBody(some, level.edges, held, self._free.c.dtype), b, u, p
+        )
+
     def forces(self, u: NDArray[Any]) -> NDArray[Any]:
         """Nodal forces of displacements, those held included: less the loads they are the reactions."""
         out = np.empty(u.size, self._free.c.dtype)
@@ -248,7 +261,7 @@ class HeldBody:
         self,
         loads: NDArray[Any] | NodalValues, given: NDArray[Any] | NodalValues | None = None,
         start: NDArray[Any] | None = None, *, residual: float = 1e-6, energy: float = 0.0, iterations: int = 1000,
-        stored: float = 0.0,
+        stored: float = 0.0, local: bool = True,
     ) -> Loaded:  # fmt: skip
         """Displacements under nodal forces.
 
@@ -269,6 +282,8 @@ class HeldBody:
             Of all restarts together.
         stored : float
             Twice the energy of the guess, without loads.
+        local : bool
+            Whether few small places where the iteration is slow are solved by themselves; see `local_solves`.
 
         Raises
         ------
@@ -307,7 +322,9 @@ class HeldBody:
                 break
             stop = Stop(residual * whole / first, energy, iterations - done)
             step = np.empty_like(u) if u.any() else u  # large bodies have no room for another vector
-            found = solve(self.hierarchy, b, step, p, self._work, stop, stored, floor)
+            found = solve(
+                self.hierarchy, b, step, p, self._work, stop, stored, floor, correct=self._correct if local else None
+            )
             done += found.iterations
             if not found.definite:
                 if not self.hierarchy.twice:

@@ -10,7 +10,7 @@ from PIL import Image
 
 from sppm_pipeline import ConfigError, DesignError, Length, SurfaceMesh
 from sppm_pipeline.engine.plan.estimate import cost
-from sppm_pipeline.features.parts import stubs
+from sppm_pipeline.features.parts import material, stubs
 from sppm_pipeline.features.parts.bodies import VoxelBody, field_body
 from sppm_pipeline.features.parts.density_law import SHARES, yield_factor
 from sppm_pipeline.features.parts.material import Model, simulated
@@ -300,3 +300,19 @@ def test_a_homogenized_part_has_a_safety_factor():
     twice, _ = run(replace(stage, yield_stress=60.0), cases, None, BLOCK, None, recipe)
     assert twice.safety == pytest.approx(2 * made.safety, rel=1e-6)
     assert run(replace(stage, yield_stress=None), cases, None, BLOCK, None, recipe)[0].safety is None
+
+
+def test_compliance_is_as_exact_as_the_energy(monkeypatch):
+    """Displacements that are a hundredth too large change it by a ten thousandth."""
+    cases = loaded("0 0 -1 N on plane x at high")
+    model, _ = resolved((4, 2, 2), 8)
+    exact = solve(model, cases)
+    solver = material.solved
+
+    def too_large(*args, **options):
+        found = solver(*args, **options)
+        return found._replace(displacement=found.displacement * np.float32(1.01))
+
+    monkeypatch.setattr(material, "solved", too_large)
+    ratio = solve(model, cases).compliance / exact.compliance
+    assert 1 - ratio == pytest.approx(1e-4, rel=0.05)
