@@ -245,10 +245,10 @@ class HeldBody:
             return 0.0, 0.0
         nz, ny, nx = level.shape
         moduli = level.moduli.each(lambda values: values[: nz - 1, : ny - 1, : nx - 1])
-        used = level.weight.reshape(level.shape) > 0
         return correct_locally(
-            moduli, self.fixed, used, lambda some, held: HeldBody(some, level.edges, held, self._free.c.dtype), b, u, p
-        )
+            moduli, self.fixed, level.weight.reshape(level.shape),
+            lambda some, held: HeldBody(some, level.edges, held, self._free.c.dtype), b, u, p,
+        )  # fmt: skip
 
     def forces(self, u: NDArray[Any]) -> NDArray[Any]:
         """Nodal forces of displacements, those held included: less the loads they are the reactions."""

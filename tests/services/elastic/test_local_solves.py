@@ -10,7 +10,7 @@ from sppm_pipeline.services.elastic.local_solves import SURROUNDINGS, TOLERANCE,
 from sppm_pipeline.services.multigrid.solver import CORRECTED
 
 SIZE, EDGES = 32, (1.0, 0.9, 1.2)
-USED = np.ones((SIZE + 1,) * 3, bool)
+USED = np.ones((SIZE + 1,) * 3)
 
 
 def body_with_flaps():
@@ -88,7 +88,11 @@ def test_boxes_hold_what_moves_with_its_surroundings_and_end_at_the_body():
     p[0, 30, 30, 100] = 2.0
     p[0] += 1e-3
     assert SURROUNDINGS == 2
-    used = np.ones(p.shape[1:], bool)
-    used[50] = False
+    used = np.ones(p.shape[1:])
+    used[50] = 0
     p[1, 50, 10, 10] = 100.0
     assert moving_boxes(p, used) == [((0, 50, 30), (15, 64, 55)), ((20, 20, 90), (45, 45, 115))]
+    # along a diagonal the box would be nearly all of the body
+    p = np.zeros((3, 33, 33, 33))
+    p[0, range(32), range(32), range(32)] = 1.0
+    assert moving_boxes(p, np.ones(p.shape[1:])) == []
