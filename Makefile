@@ -24,6 +24,9 @@ test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 	$(BIN)/python -m pytest -n auto --dist loadfile; tests=$$?; \
 	wait $$types; types=$$?; cat $(VENV)/types.txt; test $$imports -eq 0 -a $$tests -eq 0 -a $$types -eq 0
 
+# tests fill all processors already, and more threads of BLAS than one wait by turning; test_determinism has four
+test coverage test-oldest: export OPENBLAS_NUM_THREADS = 1
+
 coverage: $(VENV)/.installed-tests  ## the share of lines that tests reach; TESTS="tests/method tests/engine" for some
 	$(BIN)/pip install --quiet "coverage>=7.10"
 	$(BIN)/coverage erase
