@@ -7,6 +7,7 @@ user can cure (exit codes 2, 3 and 5), in seconds.
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 import types
@@ -79,7 +80,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "grade.image": ([], "of: ct, path: image.npy", []),
     "grade.points": ([], "of: ct, path: points.csv", []),
     "grade.nodes": ([], "of: ct, path: part.vtu", []),
-    "grade.distance": ([BOX], "of: depth", []),
+    "grade.distance": ([BOX], "of: depth, to: point, point: [0, 0, 0]", []),
     "grade.stiffness": (
         ["  - {stage: grade.table, of: stiffness, values: [[0, 0.3], [1, 0.4]]}"],
         "values: [[0.3, 0.5], [0.7, 0.1]]", [],
@@ -197,7 +198,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.nanodlp": ([FLAT, "  - {stage: slice.mesh, printer: concepts3d_athena_8k, layer: 0.2 mm}"], "", []),
     "write.mesh": ([BOX], "", []),
     "write.project": ([BOX], "settings: ['body: perimeters = 2']", []),
-    "write.volume_mesh": (VOLUME, "", []),
+    "write.volume_mesh": (VOLUME, "path: part.inp, tie_faces: true, job: true", []),
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
     "write.curves": (TEST, "", []),
@@ -337,6 +338,16 @@ def test_hostile_values(name, tmp_path, request):
                     assert abs(size) <= 1e15, (option.name, value)
 
 
+def filled(kind, number):
+    """A value of tuples within tuples, all of whose numbers are the same."""
+    if typing.get_origin(kind) is tuple:
+        inner = typing.get_args(kind)
+        if inner[-1] is ...:  # pairs may have to ascend
+            inner = inner[:1] * (1 if typing.get_origin(inner[0]) is tuple else 2)
+        return [filled(one, number) for one in inner]
+    return "constant" if kind is str else number
+
+
 def ends(option) -> list[str]:
     """Values at the ends of what is allowed, as YAML; integers only where they stay small."""
     spec, kinds = option.spec, members(option.kind)
@@ -348,11 +359,11 @@ def ends(option) -> list[str]:
         if whole and (bound > 20 or bound + step < 0):
             continue
         number = int(bound + step) if whole else bound + step * (1e-300 if not bound else 1e-12)
-        many = len(typing.get_args(option.kind)) if typing.get_origin(option.kind) is tuple else 0
-        many = many or max((len(typing.get_args(p)) for p in typing.get_args(option.kind)
-                            if typing.get_origin(p) is tuple), default=0)  # fmt: skip
-        found.append(str([number] * many) if many else str(number))
-        if Length in kinds and not many:
+        # of a union, the tuple in it
+        parts = (option.kind, *typing.get_args(option.kind))
+        shape = next((kind for kind in parts if typing.get_origin(kind) is tuple), None)
+        found.append(json.dumps(filled(shape, number)) if shape else str(number))
+        if Length in kinds and not shape:
             found += ["0.001 mm", "900 m"]
     return found
 
@@ -383,16 +394,17 @@ def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(na
     readings = "".join(f"{min(400 * d, 800 + 20 * d)},{d}\n" for d in (i / 50 for i in range(500)))
     (tmp_path / "test.csv").write_text(f"Force (N),Displacement (mm)\n{readings}", encoding="utf-8")
     (tmp_path / "part.stl").write_bytes(b"".join(stl.encode(ball.vertices, ball.faces)))
-    path, done = tmp_path / "config.yaml", set()
+    path, done, tried, planned = tmp_path / "config.yaml", set(), 0, 0
     for option in options_of(stage_class(name)).values():
         for value in dict.fromkeys(ends(option)) if (name, option.name) not in LARGE else ():
             text, _ = document(name, option.name, value)
             path.write_text(text, encoding="utf-8")
-            failed = None
+            failed, tried = None, tried + 1
             before = signal.signal(signal.SIGPROF, too_slow)
             signal.setitimer(signal.ITIMER_PROF, LONGEST)
             try:
                 plan = plan_of(path)
+                planned += 1
                 stages = repr([step.stage for step in plan.steps])
                 if stages not in done:  # an end may be the default, or what the place gives
                     run_plan(plan, tmp_path / "out", threads=1)
@@ -405,6 +417,8 @@ def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(na
             if failed is not None:
                 assert failed.exit_code in (2, 3, 5), (option.name, value, str(failed))
                 assert failed.where is not None or isinstance(failed, ConfigErrors), (option.name, value)
+    # a place that is wrong itself would have all of them refused
+    assert planned or not tried, "no end of any option gets as far as a run"
 
 
 def test_values_that_stages_set_have_the_same_bounds():
