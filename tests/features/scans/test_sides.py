@@ -46,8 +46,8 @@ def test_stiffness_with_mirror_images_is_solved_on_an_eighth(cut, monkeypatch):
     sizes = []
     solve = loaded.solve
 
-    def watched(hierarchy, b, *args):
-        found = solve(hierarchy, b, *args)
+    def watched(hierarchy, b, *args, **options):
+        found = solve(hierarchy, b, *args, **options)
         sizes.append(len(b))
         return found._replace(definite=not hierarchy.twice)  # as if every second visit made the cycle indefinite
 
@@ -149,9 +149,9 @@ def test_conduction_between_mirrors_breaks_down_and_goes_on(cut, monkeypatch):
     expected = sppm.homogenize.conductivity(bulk=[1.0, 30.0])(copies).k
     sizes, solve = [], loaded.solve
 
-    def watched(hierarchy, b, *args):
+    def watched(hierarchy, b, *args, **options):
         sizes.append(len(b))
-        return solve(hierarchy, b, *args)._replace(definite=not hierarchy.twice)
+        return solve(hierarchy, b, *args, **options)._replace(definite=not hierarchy.twice)
 
     monkeypatch.setattr(loaded, "solve", watched)
     assert stage(image).k == pytest.approx(expected, abs=3e-4 * expected.max())
