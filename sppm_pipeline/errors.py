@@ -166,7 +166,7 @@ def meant(names: Sequence[str]) -> str:
     return f"did you mean {listed(names, 'or')}?"
 
 
-MOST_NAMED = 20
+MAX_NAMED = 20
 """Names that a hint lists where none is near."""
 
 
@@ -175,5 +175,5 @@ def did_you_mean(word: str, known: Iterable[str]) -> str | None:
     names = sorted(set(known))
     if near := near_names(word, names):
         return meant(near)
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return f"known: {', '.join(names[:MOST_NAMED])}{more}" if names else None
+    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+    return f"known: {', '.join(names[:MAX_NAMED])}{more}" if names else None

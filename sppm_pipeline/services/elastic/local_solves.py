@@ -33,7 +33,7 @@ SHARE = 1 / 400
 """Share of the blocks that count, those that move most: fewer if they make most of the squared direction, more until
 they make half. Half of it leaves 1.1 times the error behind, at 16 voxels a cell."""
 
-MOST = 0.9
+COVERED = 0.9
 """... of the squared direction, beyond which blocks hardly matter."""
 
 MAX_SHARE = 1 / 100
@@ -138,7 +138,7 @@ def moving_boxes(p: NDArray[Any], weight: NDArray[Any]) -> list[tuple[tuple[int,
     squares = np.add.reduceat(np.add.reduceat(np.stack(layers), rows, 1), columns, 2)
     order = np.argsort(-squares, axis=None, kind="stable")
     sums = np.cumsum(squares.reshape(-1)[order])
-    half, most = (1 + int(np.searchsorted(sums, part * sums[-1])) for part in (0.5, MOST))
+    half, most = (1 + int(np.searchsorted(sums, part * sums[-1])) for part in (0.5, COVERED))
     if half > MAX_SHARE * squares.size:
         return []
     chosen = np.zeros(squares.size, bool)
