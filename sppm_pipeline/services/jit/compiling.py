@@ -5,6 +5,7 @@ Nothing imports this module but `compiled`, when a kernel has to be compiled or 
 
 from __future__ import annotations
 
+import gc
 import importlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -148,11 +149,26 @@ def _dtypes(constants: list[Any]) -> list[str] | None:
 
 
 class _Compilation(event.Listener):
+    """Notes the first compilation, and has garbage collected rarely while a kernel is compiled.
+
+    Next to all that the compiler makes lives on, so that looking it over takes a tenth of the time. Numba holds a lock
+    from the start of the outermost compilation to its end.
+    """
+
+    depth = 0
+    thresholds = gc.get_threshold()
+
     def on_start(self, event: Any) -> None:
         first_compilation()
+        if not self.depth:
+            self.thresholds = gc.get_threshold()
+            gc.set_threshold(10_000, 10, 1000)
+        self.depth += 1
 
     def on_end(self, event: Any) -> None:
-        pass
+        self.depth -= 1
+        if not self.depth:
+            gc.set_threshold(*self.thresholds)
 
 
 event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]
