@@ -19,6 +19,10 @@ from sppm_pipeline.services.multigrid.hierarchy import Body, Hierarchy, PlanarLe
 from sppm_pipeline.services.multigrid.rows import APPLY
 from sppm_pipeline.services.multigrid.vectors import dot, step, turn
 
+_ROUNDED = 1000
+"""Rounding errors of restricted residuals are below so many times the precision; at ten times as many, no start of the
+cells that were tried would be another."""
+
 _AGREEMENT = 1e-3
 """Relative difference of energies that rounding may cause."""
 
@@ -215,6 +219,8 @@ def _nested_start(
     coarse, below = hierarchy.below(), work.below()
     length = len(below.z[0])
     hierarchy.transfers[0].restrict(b, work.r[1], work.line)
+    if dot(work.r[1], work.r[1]) <= (_ROUNDED * float(np.finfo(b.dtype).eps)) ** 2 * rr:
+        return 0.0, rr  # rounding of a load that this grid can't have, such as a shear across one voxel
     found = solve(coarse, work.r[1], work.sum[1], p[:length], below, Stop(0.0, 0.0, iterations), 0.0, 1.0, iterations)
     if not found.definite:
         return 0.0, rr  # a start is a bonus; the cycle of the finest grid may still work

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
+from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody, stiffness
 from sppm_pipeline.services.elastic.voigt import from_lame, lame
 
 CELLS = Path(__file__).parent / "cells"
@@ -276,3 +276,14 @@ def test_elongated_voxels_need_no_second_attempt(cell, edges, monkeypatch):
     assert len(attempts) == 1
     assert found.precision == "float32"
     assert max(case.iterations for case in found.solved) <= 22
+
+
+@pytest.mark.parametrize("shape", [(12, 4, 4), (4, 20, 8), (8, 9, 36)])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_shear_that_the_coarsest_grids_can_not_have_moves_nothing(shape, seed):
+    """Across a single voxel its forces are rounding, of which a start from there made translations of any size."""
+    image = (np.random.default_rng(seed).random(shape) < 0.7).astype(np.float32)
+    share = (image + np.roll(image, 1, 0) + np.roll(image, 1, 1)) / 3
+    found = ElasticBody.of(1.5 * share, share).stiffness(fields=True, tolerance=1e-3)
+    assert found.precision == "float32"
+    assert max(step * np.abs(packed.astype(float)).max() for packed, step in found.fields) < 5
