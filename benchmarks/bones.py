@@ -2,6 +2,7 @@
 
     python -m benchmarks.bones BONES.csv [--rows 8] [--first 0] [--every 6] [--further 8] [--csv FOUND.csv]
     python -m benchmarks.bones --page docs/howto/reach-a-stiffness-tensor.md --csv FOUND.csv [FOUND.csv ...]
+    python -m benchmarks.bones --page docs/howto/reach-a-stiffness-tensor.md --made --csv MADE.csv [MADE.csv ...]
 
 The CSV has a row for each sample, with the columns name, density, C11 ... C66 (the 21 constants over Young's modulus of
 the solid, Voigt order 11, 22, 33, 23, 13, 12) and twin_density, twin_C11 ... of a published twin, which is reported
@@ -34,7 +35,11 @@ Row = dict[str, str | float]
 UPPER = np.triu_indices(6)
 SEED = 1
 CHECKED = 72
+NEAR = 0.04
+"""Distance within which a member of the family should be met."""
 MARK = "<!-- benchmarks.bones -->"
+MADE = "<!-- benchmarks.bones made -->"
+"""Marks of the page, around the table of samples and around the sentences on targets that were made."""
 
 
 def matrix(row: dict[str, str], prefix: str = "") -> np.ndarray:
@@ -152,12 +157,44 @@ def words_of(paths: list[Path]) -> str:
     return "\n".join(found)
 
 
+def words_of_made(paths: list[Path]) -> str:
+    """What came of members of the family, and of tensors beyond it."""
+    rows = [row for path in paths for row in csv.DictReader(path.open(encoding="utf-8"))]
+    members = [row for row in rows if row["cell"] and row["made_with"]]
+    beyond = [row for row in rows if row["name"].startswith("beyond")]
+    refused = sum(bool(row["refused"]) for row in beyond)
+
+    def of(key: str, among: list[dict[str, str]] = members) -> np.ndarray:
+        return np.array([float(row[key]) for row in among])
+
+    def spread(key: str) -> str:
+        return f"median {np.median(of(key)):.3f}, worst {of(key).max():.3f}"
+
+    off = np.abs(of("cell_porosity") - of("porosity")).max()
+    inside = of("inside")
+    near = np.mean(of("cell") <= NEAR)
+    late = of("design_seconds", beyond)
+    return (
+        f"{len(members)} random members of the family (`--reachable`), each the mean of six other draws, stretched and "
+        f"turned: distances of designs, on which six draws scatter on either side: {spread('design')}; of one cell of "
+        f"`tune.tensor`: {spread('cell')}, {100 * near:.0f} % of them within {NEAR}, at densities that are at most "
+        f"{100 * off:.2f} % of the volume off, in {np.median(of('cell_seconds')):.0f} CPU-s in the median and "
+        f"{of('cell_seconds').max():.0f} at most.\nOf the constants of eight further single cells "
+        f"{100 * inside.mean():.1f} ± {100 * inside.std(ddof=1) / len(inside) ** 0.5:.1f} % lay in the stated "
+        "intervals.\n"
+        f"Of {len(beyond)} tensors with twice the solid's share of its modulus, or with a Poisson's ratio of -0.4 "
+        f"(`--unreachable`), {refused} were refused with the nearest design, in {late.min():.0f} to "
+        f"{late.max():.0f} CPU-s."
+    )
+
+
 def main() -> None:
     """Design for each row, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, nargs="?")
     parser.add_argument("--csv", type=Path, nargs="*", default=[Path("bones-found.csv")])
     parser.add_argument("--page", type=Path)
+    parser.add_argument("--made", action="store_true")
     parser.add_argument("--rows", type=int, default=8)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--every", type=int, default=6)
@@ -170,16 +207,20 @@ def main() -> None:
     parser.add_argument("--unreachable", type=int, default=0)
     args = parser.parse_args()
     if args.page:
-        between_marks(args.page, MARK, words_of(args.csv))
+        mark, words = (MADE, words_of_made) if args.made else (MARK, words_of)
+        between_marks(args.page, mark, words(args.csv))
         return
     warnings.simplefilter("ignore")
     rng = np.random.default_rng(7)
     for number in range(args.reachable):
         struts, porosity, logs = rng.uniform(0, 0.8), rng.uniform(0.6, 0.8), rng.uniform(0, np.log(2.5), 2)
+        rotation = turned(rng.normal(size=3))
+        if number < args.first:
+            continue
         cells = [
             cell_stiffness(struts, porosity, stretch_of(logs), 500 + d, args.resolution) for d in range(args.draws)
         ]
-        target = rotated(np.mean(cells, 0), turned(rng.normal(size=3)))
+        target = rotated(np.mean(cells, 0), rotation)
         added(args.csv[0], measured(f"member {number}", target, porosity, args, {"made_with": struts}))
     for number in range(args.unreachable):
         # as stiff as twice the bound of Hashin and Shtrikman, or far more auxetic than any member

@@ -259,10 +259,6 @@ def simulated(
         forces = solver.forces(u)
         loads, moves = works(one, u, forces)
         energy = loads + moves
-        if not (loads and moves):
-            # their sum is of first order in what the solver leaves; this is of second order, as the energy itself
-            stored = dot(forces.reshape(-1), u.reshape(-1))
-            energy = 2 * loads - stored if loads else stored
         # what is held carries the forces there, less the loads that act on it
         own = one.fixed.reshape(-1)[one.pulled.at]
         direct = np.bincount(one.pulled.at[own] // (u.size // 3), one.pulled.values[own], 3)
@@ -315,14 +311,19 @@ def solved(solver: HeldBody, one: Applied, start: NDArray[Any] | None, **stop: A
 
 
 def works(one: Applied, u: NDArray[Any], forces: NDArray[Any]) -> tuple[float, float]:
-    """Twice the work of the loads, and of what moves the displacements that are given, from forces of displacements."""
+    """Twice the work of the loads, and of what moves the displacements that are given, from forces of displacements.
+
+    Where there is only one of both it is of second order in what the solver leaves, as the energy itself.
+    """
     pulled, moved = one.pulled, one.moved
     loads = float(pulled.values @ u.reshape(-1)[pulled.at].astype(np.float64))
-    if not len(moved.at):
-        return loads, 0.0
     there = np.isin(pulled.at, moved.at)
     direct = float(pulled.values[there] @ u.reshape(-1)[pulled.at[there]].astype(np.float64))
-    return loads, float(moved.values @ forces.reshape(-1)[moved.at].astype(np.float64)) - direct
+    given = float(moved.values @ forces.reshape(-1)[moved.at].astype(np.float64)) - direct
+    if loads and given:
+        return loads, given
+    stored = dot(forces.reshape(-1), u.reshape(-1))
+    return (2 * loads - stored, 0.0) if loads else (0.0, stored)
 
 
 def checked_move(context: Context, case: LoadCase, u: NDArray[Any], used: Bools, body: VoxelBody) -> float:

@@ -8,6 +8,7 @@ from scipy.sparse.linalg import spsolve
 from sppm_pipeline import ConfigError, DesignError, SurfaceMesh
 from sppm_pipeline.features.parts.bodies import SharedBody, VoxelBody
 from sppm_pipeline.features.parts.density_law import DensityLaw, cubic_mean, density_law, solid_constants
+from sppm_pipeline.features.parts.stages import optimize_density
 from sppm_pipeline.features.parts.stages.optimize_density import ConeFilter, OptimizeDensity, Problem, principal
 from sppm_pipeline.method.nouns.conditions import LoadCase, LoadCases, condition_of, held_of
 from sppm_pipeline.method.nouns.maps import Place
@@ -78,6 +79,22 @@ def test_gradients_are_those_of_differences(gravity):
         way = rng.standard_normal(count)
         slope = (compliance(design + 2e-5 * way) - compliance(design - 2e-5 * way)) / 4e-5
         assert slope == pytest.approx(-gain @ way, rel=1e-5)
+
+
+def test_compliance_of_the_search_is_as_exact_as_the_energy(monkeypatch):
+    """Displacements that are a hundredth too large change it by a ten thousandth."""
+    shared, mesh = beam(10, 3, 4)
+    skin, density = np.zeros(shared.body.solid.size), np.full(shared.body.solid.size, 0.4)
+    search, solver = stage(solver_tolerance=1e-10), optimize_density.solved
+    problem = Problem(search, square_law(), shared, skin, cases_of(mesh, "0 0 -5 N on plane x at high"), np.float64)
+    exact = problem.solved(PlainContext(), density).compliance
+
+    def too_large(*args, **options):
+        found = solver(*args, **options)
+        return found._replace(displacement=found.displacement * 1.01)
+
+    monkeypatch.setattr(optimize_density, "solved", too_large)
+    assert 1 - problem.solved(PlainContext(), density).compliance / exact == pytest.approx(1e-4, rel=0.01)
 
 
 def independent_search(law, shared, loads, fixed, radius, mean, bounds, steps):
