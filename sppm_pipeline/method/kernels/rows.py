@@ -94,22 +94,14 @@ def clip_rows(table: F32, low: np.float32, high: np.float32, nx: np.float32, i: 
 
 
 @inline_jit
-def want_rows(table: F32, wanted: I32, first: int, rows: int, nx: int) -> bool:
-    """Write which samples of the sixteen rows are wanted, from the first to the last; False if there are none.
-
-    ``wanted[r]`` are the first sample of row r and the one after the last; if it is empty, all are wanted.
-    """
-    some = bool(wanted.shape[0] == 0)
+def want_rows(table: F32, first_wanted: I32, last_wanted: I32, row: int) -> bool:
+    """Write the first and the last sample that is wanted of sixteen rows from `row` on; False if there are none."""
+    some, start = np.int32(0), np.uint64(row)
     for i in range(_LANES):
-        table[_WANTED_FROM + i] = _ZERO
-        table[_WANTED_TO + i] = np.float32(nx - 1)
-    if wanted.shape[0] > 0:
-        for i in range(_LANES):
-            row = first + int(min(np.int64(i), np.int64(rows - 1)))
-            table[_WANTED_FROM + i] = np.float32(wanted[row, 0])
-            table[_WANTED_TO + i] = np.float32(wanted[row, 1] - 1)
-            some |= bool(wanted[row, 0] < wanted[row, 1])
-    return some
+        begin, end = first_wanted[start + i], last_wanted[start + i]
+        table[_WANTED_FROM + i], table[_WANTED_TO + i] = np.float32(begin), np.float32(end)
+        some += np.int32(begin <= end)
+    return bool(some > np.int32(0))
 
 
 @inline_jit

@@ -115,7 +115,9 @@ def add_prepared(
     else:
         add_tunnels = tunnel_adder(profile)
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
-    spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
+    # of each row the first sample that is wanted, and the last one
+    spans = np.array([[0], [nx - 1]]) if wanted is None else wanted.reshape(-1, 2).T - [[0], [1]]
+    spans = np.broadcast_to(spans, (2, layers * ny))
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
     # blocks of layers are disjoint, so that threads never write to the same sample; four a thread even out costs
     height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
@@ -124,7 +126,10 @@ def add_prepared(
 
     def add_block(start: int) -> None:
         block = out[start : start + height]
-        rows = spans[start * ny : (start + len(block)) * ny]
+        # as many more rows as a group may run over the end, of which nothing is wanted
+        rows = np.zeros((2, len(block) * ny + LANES), np.int32)
+        rows[1] = -1
+        rows[:, :-LANES] = spans[:, start * ny : (start + len(block)) * ny]
         # Made here because an array that is made in a compiled function is counted in each call it is passed to.
         table = np.empty(TABLE, np.float32)
         whole = nx % LANES == 0
@@ -132,10 +137,10 @@ def add_prepared(
         target = block if whole else np.zeros((len(block), ny, nx + LANES - nx % LANES), dtype=np.float32)
         arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing)
         if stretched:
-            add_stretched(*arguments, rows, points, pore_reach, table, np.empty(7, np.float32))
+            add_stretched(*arguments, *rows, points, pore_reach, table, np.empty(7, np.float32))
         else:
-            _add_points(*arguments, rows, points, pore_reach, table, np.empty(width, np.float32))
-        add_tunnels(*arguments, rows, tunnels, tunnel_reach, table, np.empty(7, np.float32))
+            _add_points(*arguments, *rows, points, pore_reach, table, np.empty(width, np.float32))
+        add_tunnels(*arguments, *rows, tunnels, tunnel_reach, table, np.empty(7, np.float32))
         if not whole:
             block += target[:, :, :nx]
 
@@ -187,7 +192,8 @@ def _add_points(
     first_layer: int,
     origin: F64,
     spacing: F64,
-    wanted: I32,
+    first_wanted: I32,
+    last_wanted: I32,
     points: F64,
     reach: float,
     table: F32,
@@ -218,7 +224,7 @@ def _add_points(
         for z in range(z0, z1 + 1):
             dz = np.float32(scale * (origin[2] + z * spacing[2] - points[p, 2]))
             for y in range(y0, y1 + 1, LANES):
-                if not want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx):
+                if not want_rows(table, first_wanted, last_wanted, (z - first_layer) * ny + y):
                     continue
                 point_rows(
                     table, np.float32(reach), np.float32(dy + (y - y0) * step_y), np.float32(step_y), dz, center,
@@ -240,7 +246,8 @@ def _add_tunnels(
     first_layer: int,
     origin: F64,
     spacing: F64,
-    wanted: I32,
+    first_wanted: I32,
+    last_wanted: I32,
     tunnels: F64,
     reach: float,
     table: F32,
@@ -283,7 +290,7 @@ def _add_tunnels(
         for z in range(z0, z1 + 1):
             dz = np.float32(scale * (origin[2] + z * spacing[2] - tunnels[p, 2]))
             for y in range(y0, y1 + 1, LANES):
-                if not want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx):
+                if not want_rows(table, first_wanted, last_wanted, (z - first_layer) * ny + y):
                     continue
                 tunnel_rows(
                     table, np.float32(reach), np.float32(dy + (y - y0) * step_y), np.float32(step_y), dz, axis,

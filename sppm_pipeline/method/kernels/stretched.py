@@ -122,7 +122,8 @@ def _add_stretched(
     first_layer: int,
     origin: F64,
     spacing: F64,
-    wanted: I32,
+    first_wanted: I32,
+    last_wanted: I32,
     capsules: F64,
     reach: float,
     table: F32,
@@ -148,9 +149,9 @@ def _add_stretched(
         for z in range(z0, z1 + 1):
             dz = origin[2] + z * spacing[2] - c[2]
             for y in range(y0, y1 + 1, LANES):
-                rows = min(LANES, y1 + 1 - y)
-                if not want_rows(table, wanted, (z - first_layer) * ny + y, rows, nx):
+                if not want_rows(table, first_wanted, last_wanted, (z - first_layer) * ny + y):
                     continue
+                rows = min(LANES, y1 + 1 - y)
                 for i in range(rows):
                     dy = origin[1] + (y + i) * spacing[1] - c[1]
                     _capsule_row(
