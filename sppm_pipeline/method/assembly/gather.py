@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from sppm_pipeline.method.assembly.contents import (
 )
 from sppm_pipeline.method.kernels.kernels import Kernels, boxes_meet, empty_kernels, half_boxes, kernel_reaches
 from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF
-from sppm_pipeline.method.kernels.splat import add_kernels
+from sppm_pipeline.method.kernels.splat import Prepared, add_prepared, prepared
 from sppm_pipeline.services.arrays import F32, F64, I32, I64
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.jit.compiled import jit
@@ -25,6 +26,9 @@ from sppm_pipeline.services.jit.compiled import jit
 _SITES = 600
 # Samples that count as a small grid.
 _SMALL = 2**20
+# Bytes of lists that a catalog keeps: those of some blocks of cells.
+_KEPT = 2**22
+_LOCK = Lock()
 
 
 class Catalog(NamedTuple):
@@ -42,6 +46,7 @@ class Catalog(NamedTuple):
     cutoff: float
     least: F64 | None
     most: F64 | None
+    kept: dict[tuple[object, ...], tuple[TilingArrays, Prepared]]  # the last lists: the next layers are near
 
 
 PIECES_AT_A_TIME = 4096
@@ -98,28 +103,42 @@ def sample_exact(
     height = max(1, int(0.5 / grid.spacing[2]), min(int(2.0 / grid.spacing[2]), _SMALL // (nx * ny)))
     cells_a_row = 2.0 + nx * grid.spacing[0]
     rows = max(16, int(_SITES / (3.0 * cells_a_row) / grid.spacing[1]))
-    for start in range(layer_start, layer_stop, height):
-        stop = min(start + height, layer_stop)
+    for first in range(layer_start // height * height, layer_stop, height):
+        start, stop = max(first, layer_start), min(first + height, layer_stop)
         for row in range(0, ny, rows):
             band = min(row + rows, ny) - row
             origin = (grid.origin[0], grid.origin[1] + row * grid.spacing[1], grid.origin[2])
             part = Grid(origin, grid.spacing, (nx, band, nz))
-            span = part.layers(start, stop)
-            lower = np.array(span.origin)
-            upper = lower + np.array(span.spacing) * (np.array(span.shape) - 1)
-            kernels = kernels_in_box(catalog, tiling, lower, upper)
-            block = out[start - layer_start : stop - layer_start]
-            target = block if band == ny else np.zeros((stop - start, band, nx), dtype=np.float32)
             asked = None
             if wanted is not None:
                 rows_asked = wanted[start - layer_start : stop - layer_start, row : row + band]
                 if (rows_asked[..., 0] >= rows_asked[..., 1]).all():
                     continue
                 asked = np.ascontiguousarray(rows_asked)
-            add_kernels(target, part, kernels, cutoff, threads, first_layer=start, wanted=asked)
+            kernels = _prepared_for(catalog, tiling, part, first, min(first + height, nz))
+            block = out[start - layer_start : stop - layer_start]
+            target = block if band == ny else np.zeros((stop - start, band, nx), dtype=np.float32)
+            add_prepared(target, part, kernels, threads, start, asked)
             if band < ny:
                 block[:, row : row + band] = target
     return out.T
+
+
+def _prepared_for(catalog: Catalog, tiling: TilingArrays, grid: Grid, start: int, stop: int) -> Prepared:
+    """The kernels that reach the layers start <= k < stop."""
+    key, kept = (id(tiling), grid.origin, grid.spacing, grid.shape[:2], start, stop), catalog.kept
+    found = kept.get(key)
+    if found is not None and found[0] is tiling:
+        return found[1]
+    span = grid.layers(start, stop)
+    lower = np.array(span.origin)
+    upper = lower + np.array(span.spacing) * (np.array(span.shape) - 1)
+    made = prepared(kernels_in_box(catalog, tiling, lower, upper), grid, catalog.cutoff, start, stop - start)
+    with _LOCK:  # several threads sum at once
+        kept[key] = tiling, made
+        while sum(one.points.nbytes + one.tunnels.nbytes for _, one in kept.values()) > _KEPT:
+            del kept[next(iter(kept))]
+    return made
 
 
 def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
@@ -145,7 +164,7 @@ def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     # empty pieces keep an empty box, from infinity to minus infinity
     reaching = np.isfinite(lower).all(axis=1)
     least, most = (lower[reaching].min(axis=0), upper[reaching].max(axis=0)) if reaching.any() else (None, None)
-    return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff, least, most)
+    return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff, least, most, {})
 
 
 def kernels_in_box(catalog: Catalog, tiling: TilingArrays, lower: F64, upper: F64) -> Kernels:

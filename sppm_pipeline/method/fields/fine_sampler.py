@@ -217,7 +217,7 @@ class FineSampler:
         n = self._n
         # counted from a whole cell below the lattice, so that a plane has the same place in every call
         base = min(-1, planes.start // n)
-        low, high = (k - base * n for k in (planes.start, planes.stop))
+        low, high, top = (k - base * n for k in (planes.start, planes.stop, self._window[2].stop))
 
         def add(block: tuple[Span, ...]) -> None:
             x, y = block
@@ -227,7 +227,7 @@ class FineSampler:
                 wanted[:, of_y] = _hulls(wanted[:, of_y], found)
             if not wanted.any():
                 return
-            grid = Grid((x.first / n, y.first / n, float(base)), (1.0 / n,) * 3, (x.samples, y.samples, high))
+            grid = Grid((x.first / n, y.first / n, float(base)), (1.0 / n,) * 3, (x.samples, y.samples, top))
             made = field.kernel_sums(grid, low, high, wanted=wanted)
             for (of_y, to_y), (of_x, to_x) in places:
                 sums[:, to_y, to_x] = made[:, of_y, of_x]
