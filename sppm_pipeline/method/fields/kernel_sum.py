@@ -15,13 +15,19 @@ from sppm_pipeline.method.assembly.occupancy import spans_in_any
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.nouns.size import PAYING_SHARE, PAYING_SHARE_OF_PATCHES
 from sppm_pipeline.services.arrays import F32, I32, U8, U64
-from sppm_pipeline.services.bit_rows import unpack
+from sppm_pipeline.services.bit_rows import empty_bits, unpack
 from sppm_pipeline.services.grid import Grid, sample_one_period
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.assembly.contents import TilingArrays
     from sppm_pipeline.method.assembly.patches import PatchBank
     from sppm_pipeline.method.fields.fine_sampler import FineSampler
+
+WIDE = 2**24
+"""Samples of a sheet from which some rows are sampled at a time: the coarse planes of whole sheets would take 1 GB."""
+
+BAND = 2**21
+"""Samples of such rows: their coarse planes take 130 MB."""
 
 
 class Patches(NamedTuple):
@@ -167,12 +173,26 @@ class KernelSum(ScalarField):
 
         return self._each_once(grid, start, stop, solid).T
 
+    @property
+    def makes_bits(self) -> bool:
+        return self.additive and not self.periodic
+
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
+        if not self.makes_bits:
+            return super().solid_bits(grid, start, stop, threads, wanted)
         # the only way that makes bits without bytes in between
-        summed = not self.periodic and self.additive and self._fine(grid, threads) is None
-        if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
+        if self._fine(grid, threads) is None and (placed := self._placed(grid, threads, solid=True)) is not None:
             return placed.bits(self.solid_below, start, stop, threads, wanted)
-        return super().solid_bits(grid, start, stop, threads, wanted)
+        (x, y, z), (nx, ny, nz) = grid.origin, grid.shape
+        if nx * ny <= WIDE:
+            return super().solid_bits(grid, start, stop, threads, wanted)
+        bits, rows = empty_bits(stop - start, ny, nx), max(1, BAND // nx)
+        for row in range(0, ny, rows):
+            own = slice(row, min(row + rows, ny))
+            band = Grid((x, y + row * grid.spacing[1], z), grid.spacing, (nx, own.stop - row, nz))
+            asked = None if wanted is None else np.ascontiguousarray(wanted[:, own])
+            bits[:, own] = super().solid_bits(band, start, stop, threads, asked)
+        return bits
 
     def _each_once(
         self, grid: Grid, start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]

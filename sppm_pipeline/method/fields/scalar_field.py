@@ -213,6 +213,11 @@ class ScalarField(Artifact, ABC):
         """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)
 
+    @property
+    def makes_bits(self) -> bool:
+        """True if `solid_bits` takes little memory beside its result, however many layers it is asked for."""
+        return False
+
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         """`solid_layers` as bits, (stop - start, ny, words), see `services.bit_rows`; a class may make them at once."""
         from sppm_pipeline.services.bit_rows import pack

@@ -135,12 +135,12 @@ def add_prepared(
         whole = nx % LANES == 0
         # Blocks of samples may run over the end of a row: rows of an odd length are summed in padded rows.
         target = block if whole else np.zeros((len(block), ny, nx + LANES - nx % LANES), dtype=np.float32)
-        arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing)
+        arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing, rows[0], rows[1])
         if stretched:
-            add_stretched(*arguments, *rows, points, pore_reach, table, np.empty(7, np.float32))
+            add_stretched(*arguments, points, pore_reach, table, np.empty(7, np.float32))
         else:
-            _add_points(*arguments, *rows, points, pore_reach, table, np.empty(width, np.float32))
-        add_tunnels(*arguments, *rows, tunnels, tunnel_reach, table, np.empty(7, np.float32))
+            _add_points(*arguments, points, pore_reach, table, np.empty(width, np.float32))
+        add_tunnels(*arguments, tunnels, tunnel_reach, table, np.empty(7, np.float32))
         if not whole:
             block += target[:, :, :nx]
 

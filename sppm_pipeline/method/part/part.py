@@ -266,6 +266,15 @@ class Part(WrappedField):
             solid |= skin
         return self._filled_and_drained(solid, inside, grid, start, stop), inside, skin
 
+    @property
+    def _decided_by_bytes(self) -> bool:
+        """True if skin, border, fills or drains make it necessary to look at a byte for each sample."""
+        return bool(self.has_skin or self.drains or len(self.fills) or self.border)
+
+    @property
+    def makes_bits(self) -> bool:
+        return self.method == "scanline" and not self._decided_by_bytes and self.base.makes_bits
+
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         return self.counted_bits(grid, start, stop, threads)[0]
 
@@ -273,7 +282,7 @@ class Part(WrappedField):
         """`solid_bits`, and how many samples lie in the domain and in its skin, as ``domain`` and ``skin``."""
         from sppm_pipeline.services.bit_rows import count, pack
 
-        if self.has_skin or self.drains or len(self.fills) or self.border:
+        if self._decided_by_bytes:
             solid, inside, skin = self._solid_inside_skin(grid, start, stop, threads)
             of_skin = 0 if skin is None else int(np.count_nonzero(skin & solid))  # drains win over the skin
             return pack(solid), {"domain": int(np.count_nonzero(inside)), "skin": of_skin}

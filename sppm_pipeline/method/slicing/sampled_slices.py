@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sppm_pipeline.method.fields.kernel_sum import WIDE
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.printer import Printer
@@ -26,6 +27,13 @@ if TYPE_CHECKING:
 
 SLAB_PIXELS = 2**22
 """Samples decided at a time; a slab holds at least one layer. Half as many, or twice, changes memory, hardly speed."""
+
+WIDE_SLAB, WIDE_SLAB_PIXELS = 32, 3 * 2**29
+"""Sheets of a wide field decided at a time, and their samples at most, of which 192 MB of bits are made.
+
+Rows of such sheets are sampled some at a time, and what the sheets below have in common with them again: half of the
+coarse samples for 16 sheets whose pixels are two thirds as far apart as these, a quarter for 32.
+"""
 
 VOTED_PIXELS = 2**25
 """The same for a vote of rays, which looks at all triangles for every slab."""
@@ -260,6 +268,12 @@ class FieldSlices(SampledSlices):
     @property
     def unit_mm(self) -> float:
         return self.source.physical_edge()
+
+    def _at_once(self) -> int:
+        nx, ny, _ = self.samples.shape
+        if nx * ny <= WIDE or self.gray or not self.source.makes_bits:
+            return SLAB_PIXELS
+        return min(WIDE_SLAB_PIXELS, WIDE_SLAB * nx * ny)
 
     def decided(
         self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None

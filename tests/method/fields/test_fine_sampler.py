@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.method.assembly import overlap_add
-from sppm_pipeline.method.fields import fine_sampler
+from sppm_pipeline.method.fields import fine_sampler, kernel_sum
 from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.slicing import sampled_slices
+from sppm_pipeline.method.slicing.sampled_slices import FieldSlices
 from sppm_pipeline.method.stages.tile_free_faces import FreeFacesTiling
 from sppm_pipeline.method.stages.tile_fresh import FreshTiling
 from sppm_pipeline.method.stages.tile_periodic import PeriodicTiling
@@ -70,6 +72,28 @@ def test_slabs_threads_and_windows_change_no_bit(fields, name, monkeypatch):
     monkeypatch.setattr(fine_sampler, "BAND_SAMPLES", 1000)
     other = Grid(FINE.origin, FINE.spacing, (*FINE.shape[:2], 60))  # another grid, or what is kept would serve it
     assert field.sample(other).tobytes() == values[:, :, :60].tobytes()
+
+
+def test_some_rows_of_wide_sheets_are_sampled_at_a_time(fresh, wedge, monkeypatch):
+    part = Part(fresh, wedge)
+    grid = Grid((0.01, 0.02, 0.01), (0.014, 0.0145, 0.0155), (137, 124, 105))
+    whole = part.solid_bits(grid, 3, 40)
+    stack = FieldSlices(source=part, grid=grid, pitch=(1, 1, 1), lower=(0, 0, 0), islands="keep")
+    coated = replace(stack, source=replace(part, skin_mm=0.3))
+    assert stack.height == coated.height == sampled_slices.SLAB_PIXELS // (137 * 124)
+    for module in (kernel_sum, sampled_slices):
+        monkeypatch.setattr(module, "WIDE", 137 * 124 - 1)
+    monkeypatch.setattr(kernel_sum, "BAND", 137 * 30)
+    sampled = []
+    made = fine_sampler.FineSampler.__init__
+    monkeypatch.setattr(
+        fine_sampler.FineSampler, "__init__", lambda self, *args: sampled.append(args[1].shape) or made(self, *args)
+    )
+    assert part.solid_bits(grid, 3, 40).tobytes() == whole.tobytes()
+    assert {(137, 30, 105), (137, 4, 105)} <= set(sampled)
+    # parts that are decided by bytes have no more sheets in memory than before
+    assert stack.height == sampled_slices.WIDE_SLAB
+    assert coated.height == sampled_slices.SLAB_PIXELS // (137 * 124)
 
 
 def test_a_part_asks_for_some_cells_of_a_layer_only(fresh, wedge, monkeypatch):
