@@ -224,7 +224,7 @@ class FineSampler:
             wanted, places = np.zeros((len(planes), y.samples, 2), np.int32), list(product(y.own, x.own))
             for (of_y, to_y), (of_x, to_x) in places:
                 found = np.clip(columns[:, to_y] - to_x.start, 0, to_x.stop - to_x.start) + of_x.start
-                wanted[:, of_y] = _hulls(wanted[:, of_y], found)
+                wanted[:, of_y] = found if len(places) == 1 else _hulls(wanted[:, of_y], found)
             if not wanted.any():
                 return
             grid = Grid((x.first / n, y.first / n, float(base)), (1.0 / n,) * 3, (x.samples, y.samples, top))

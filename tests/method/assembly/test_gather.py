@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sppm_pipeline.method.assembly import gather
 from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays, check_tiling, lone_periodic_cell
 from sppm_pipeline.method.assembly.gather import kernels_in_box as _kernels_in_box
 from sppm_pipeline.method.assembly.gather import make_catalog, sample_exact
@@ -108,6 +109,29 @@ def test_bands_threads_and_slabs_give_the_same_bytes(sets) -> None:
         assert part.tobytes() == whole[:, :, start:stop].tobytes()
     with pytest.raises(ValueError, match="layers"):
         sample_exact(pieces, tiling, grid, layer_start=3, layer_stop=41)
+
+
+def test_kept_lists_of_kernels_serve_their_own_tiling_grid_and_layers_alone(sets, monkeypatch) -> None:
+    pieces = sets.pieces(10)
+    tilings = [sets.tiling(seed, (2, 2, 2), pieces, periodic=False) for seed in (11, 12)]
+    grid = Grid((0.2, 0.1, 0.0), (0.05, 0.05, 0.04), (30, 40, 40))
+    grids = [grid, grid._replace(origin=(0.3, 0.1, 0.0)), grid._replace(spacing=(0.04, 0.05, 0.04))]
+    grids += [grid._replace(shape=(31, 40, 40)), grid._replace(shape=(30, 41, 40))]
+    spans = [(0, 3), (3, 20), (20, 40)]
+    catalog, gathered = make_catalog(pieces, 1e-5), []
+    listed = gather.kernels_in_box
+    monkeypatch.setattr(gather, "kernels_in_box", lambda *args: gathered.append(args) or listed(*args))
+    for tiling in tilings:
+        for grid in grids:
+            alone = sample_exact(pieces, tiling, grid, 1e-5).tobytes()
+            gathered.clear()
+            parts = [sample_exact(pieces, tiling, grid, 1e-5, 1, *span, catalog=catalog) for span in spans]
+            assert np.concatenate(parts, axis=2).tobytes() == alone
+            assert len(gathered) == 1  # of two cells of layers
+    assert len(catalog.kept) == len(tilings) * len(grids)
+    monkeypatch.setattr(gather, "_KEPT", 0)
+    sample_exact(pieces, tilings[0], Grid((0.0,) * 3, (0.1,) * 3, (9, 9, 9)), 1e-5, catalog=catalog)
+    assert not catalog.kept
 
 
 def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
