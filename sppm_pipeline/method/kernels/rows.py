@@ -131,6 +131,17 @@ def point_rows(
 
 
 @inline_jit
+def _whole(number: np.float32) -> np.int64:
+    """An integer of the table; by 32 bits, as one of 64 without a sign takes six instructions."""
+    return np.int64(np.int32(number))
+
+
+@inline_jit
+def _samples(blocks: np.float32) -> np.uint64:
+    return np.uint64(_whole(blocks)) << _SHIFT
+
+
+@inline_jit
 def add_gauss_rows(out: F32, start: int, stride: int, rows: int, table: F32, values: F32, shift: int) -> None:
     """Add ``factor * values`` to the prepared rows; sample x of a row takes ``values[x + shift]``.
 
@@ -138,10 +149,10 @@ def add_gauss_rows(out: F32, start: int, stride: int, rows: int, table: F32, val
     """
     for row in range(np.uint64(rows)):
         factor = table[_FACTOR + row]
-        first = np.int64(table[FIRST + row])
+        first = _whole(table[FIRST + row])
         target = np.uint64(start + np.int64(row) * stride + first)
         source = np.uint64(first + shift)
-        for i in range(np.uint64(table[_BEGIN + row]) << _SHIFT, np.uint64(table[_END + row]) << _SHIFT):
+        for i in range(_samples(table[_BEGIN + row]), _samples(table[_END + row])):
             out[target + i] += factor * values[source + i]
 
 
@@ -216,11 +227,11 @@ def add_tunnel_rows(out: F32, start: int, stride: int, rows: int, table: F32, ax
     along_step = axis[0] * step
     length = axis[6]
     for row in range(np.uint64(rows)):
-        target = np.uint64(start + np.int64(row) * stride + np.int64(table[FIRST + row]))
+        target = np.uint64(start + np.int64(row) * stride + _whole(table[FIRST + row]))
         across = table[ACROSS + row]
         along = table[ALONG + row]
         rest = table[REST + row]
-        for i in range(np.uint64(table[_BEGIN + row]) << _SHIFT, np.uint64(table[_END + row]) << _SHIFT):
+        for i in range(_samples(table[_BEGIN + row]), _samples(table[_END + row])):
             x = np.float32(np.int32(i))
             v = across + across_step * x
             s = along + along_step * x
