@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class Catalog(NamedTuple):
     cutoff: float
     least: F64 | None
     most: F64 | None
-    kept: dict[tuple[object, ...], tuple[TilingArrays, Prepared]]  # the last lists: the next layers are near
+    kept: dict[Any, Any]  # the last lists of `sample_exact`: the next layers are near
 
 
 PIECES_AT_A_TIME = 4096
@@ -126,7 +126,8 @@ def sample_exact(
 
 def _prepared_for(catalog: Catalog, tiling: TilingArrays, grid: Grid, start: int, stop: int) -> Prepared:
     """The kernels that reach the layers start <= k < stop."""
-    key, kept = (id(tiling), grid.origin, grid.spacing, grid.shape[:2], start, stop), catalog.kept
+    kept: dict[object, tuple[TilingArrays, Prepared]] = catalog.kept
+    key = id(tiling), grid.origin, grid.spacing, grid.shape[:2], start, stop
     found = kept.get(key)
     if found is not None and found[0] is tiling:
         return found[1]
