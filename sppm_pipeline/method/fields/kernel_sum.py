@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.method.fields.fine_sampler import FineSampler
 
 WIDE = 2**24
-"""Samples of a sheet from which some rows are sampled at a time: the coarse planes of whole sheets would take 1 GB."""
+"""Samples of a sheet from which some rows are interpolated at a time: coarse planes of whole sheets would take 1 GB."""
 
 BAND = 2**21
 """Samples of such rows: their coarse planes take 130 MB."""
@@ -173,26 +173,25 @@ class KernelSum(ScalarField):
 
         return self._each_once(grid, start, stop, solid).T
 
-    @property
-    def makes_bits(self) -> bool:
-        return self.additive and not self.periodic
+    def samples_by_rows(self, grid: Grid) -> bool:
+        wide = grid.shape[0] * grid.shape[1] > WIDE and self.additive and not self.periodic
+        return wide and self._fine(grid, 1) is not None
 
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
-        if not self.makes_bits:
-            return super().solid_bits(grid, start, stop, threads, wanted)
+        if self.samples_by_rows(grid):
+            (x, y, z), (nx, ny, nz) = grid.origin, grid.shape
+            bits, rows = empty_bits(stop - start, ny, nx), max(1, BAND // nx)
+            for row in range(0, ny, rows):
+                own = slice(row, min(row + rows, ny))
+                band = Grid((x, y + row * grid.spacing[1], z), grid.spacing, (nx, own.stop - row, nz))
+                asked = None if wanted is None else np.ascontiguousarray(wanted[:, own])
+                bits[:, own] = super().solid_bits(band, start, stop, threads, asked)
+            return bits
         # the only way that makes bits without bytes in between
-        if self._fine(grid, threads) is None and (placed := self._placed(grid, threads, solid=True)) is not None:
+        summed = not self.periodic and self.additive and self._fine(grid, threads) is None
+        if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
             return placed.bits(self.solid_below, start, stop, threads, wanted)
-        (x, y, z), (nx, ny, nz) = grid.origin, grid.shape
-        if nx * ny <= WIDE:
-            return super().solid_bits(grid, start, stop, threads, wanted)
-        bits, rows = empty_bits(stop - start, ny, nx), max(1, BAND // nx)
-        for row in range(0, ny, rows):
-            own = slice(row, min(row + rows, ny))
-            band = Grid((x, y + row * grid.spacing[1], z), grid.spacing, (nx, own.stop - row, nz))
-            asked = None if wanted is None else np.ascontiguousarray(wanted[:, own])
-            bits[:, own] = super().solid_bits(band, start, stop, threads, asked)
-        return bits
+        return super().solid_bits(grid, start, stop, threads, wanted)
 
     def _each_once(
         self, grid: Grid, start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]

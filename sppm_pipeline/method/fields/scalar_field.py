@@ -213,9 +213,8 @@ class ScalarField(Artifact, ABC):
         """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)
 
-    @property
-    def makes_bits(self) -> bool:
-        """True if `solid_bits` takes little memory beside its result, however many layers it is asked for."""
+    def samples_by_rows(self, grid: Grid) -> bool:
+        """True if `solid_bits` goes through a grid some rows at a time, so that more layers at once cost less each."""
         return False
 
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:

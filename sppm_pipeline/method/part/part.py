@@ -271,9 +271,8 @@ class Part(WrappedField):
         """True if skin, border, fills or drains make it necessary to look at a byte for each sample."""
         return bool(self.has_skin or self.drains or len(self.fills) or self.border)
 
-    @property
-    def makes_bits(self) -> bool:
-        return self.method == "scanline" and not self._decided_by_bytes and self.base.makes_bits
+    def samples_by_rows(self, grid: Grid) -> bool:
+        return self.method == "scanline" and not self._decided_by_bytes and self.base.samples_by_rows(grid)
 
     def solid_bits(self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: I32 | None = None) -> U64:
         return self.counted_bits(grid, start, stop, threads)[0]

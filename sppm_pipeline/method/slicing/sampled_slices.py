@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
@@ -9,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sppm_pipeline.method.fields.kernel_sum import WIDE
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.printer import Printer
@@ -270,10 +270,9 @@ class FieldSlices(SampledSlices):
         return self.source.physical_edge()
 
     def _at_once(self) -> int:
-        nx, ny, _ = self.samples.shape
-        if nx * ny <= WIDE or self.gray or not self.source.makes_bits:
+        if self.gray or not self.source.samples_by_rows(self.samples):
             return SLAB_PIXELS
-        return min(WIDE_SLAB_PIXELS, WIDE_SLAB * nx * ny)
+        return min(WIDE_SLAB_PIXELS, WIDE_SLAB * math.prod(self.samples.shape[:2]))
 
     def decided(
         self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None

@@ -1,5 +1,6 @@
 """Fine grids interpolated from coarse sums: near the direct sum, and a sample depends on its position alone."""
 
+import math
 import threading
 from dataclasses import replace
 
@@ -81,8 +82,7 @@ def test_some_rows_of_wide_sheets_are_sampled_at_a_time(fresh, wedge, monkeypatc
     stack = FieldSlices(source=part, grid=grid, pitch=(1, 1, 1), lower=(0, 0, 0), islands="keep")
     coated = replace(stack, source=replace(part, skin_mm=0.3))
     assert stack.height == coated.height == sampled_slices.SLAB_PIXELS // (137 * 124)
-    for module in (kernel_sum, sampled_slices):
-        monkeypatch.setattr(module, "WIDE", 137 * 124 - 1)
+    monkeypatch.setattr(kernel_sum, "WIDE", 137 * 124 - 1)
     monkeypatch.setattr(kernel_sum, "BAND", 137 * 30)
     sampled = []
     made = fine_sampler.FineSampler.__init__
@@ -91,9 +91,10 @@ def test_some_rows_of_wide_sheets_are_sampled_at_a_time(fresh, wedge, monkeypatc
     )
     assert part.solid_bits(grid, 3, 40).tobytes() == whole.tobytes()
     assert {(137, 30, 105), (137, 4, 105)} <= set(sampled)
-    # parts that are decided by bytes have no more sheets in memory than before
     assert stack.height == sampled_slices.WIDE_SLAB
-    assert coated.height == sampled_slices.SLAB_PIXELS // (137 * 124)
+    # what is decided by bytes, or not interpolated, has no more sheets in memory than others
+    for other in (coated, replace(stack, source=part.exactly()), replace(stack, subsamples=2)):
+        assert other.height == sampled_slices.SLAB_PIXELS // math.prod(other.samples.shape[:2])
 
 
 def test_a_part_asks_for_some_cells_of_a_layer_only(fresh, wedge, monkeypatch):
