@@ -18,7 +18,6 @@ from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES,
 from sppm_pipeline.method.kernels.rows import (
     ACROSS,
     ALONG,
-    FIRST,
     LANES,
     REST,
     add_tunnel_rows,
@@ -100,11 +99,11 @@ def _capsule_row(
         if 0.0 <= (t + radius * ux) / ua <= length:
             high = max(high, (t * ux + radius) / ua)
     if low > high:
-        clip_rows(table, np.float32(1e12), np.float32(-1e12), nx, i)
+        first = clip_rows(table, np.float32(1e12), np.float32(-1e12), nx, i)
     else:
-        clip_rows(table, np.float32(start + (low - x) / step), np.float32(start + (high - x) / step), nx, i)
+        first = clip_rows(table, np.float32(start + (low - x) / step), np.float32(start + (high - x) / step), nx, i)
     place = np.uint64(i)
-    x += (float(table[FIRST + place]) - start) * step
+    x += (float(first) - start) * step
     table[ACROSS + place] = np.float32(ua * x - ux * t)
     table[ALONG + place] = np.float32(ux * x + ua * t)
     table[REST + place] = np.float32(w * w)
