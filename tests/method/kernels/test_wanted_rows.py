@@ -50,3 +50,16 @@ def test_parts_of_rows_depend_neither_on_threads_nor_on_slabs():
     x = np.arange(64)
     asked = (x >= ends[5:12, :, :1]) & (x < ends[5:12, :, 1:])
     np.testing.assert_array_equal(slab[asked], once[5:12][asked])
+
+
+@pytest.mark.parametrize("number", [0, 1000, -1])
+def test_a_single_sample_is_wanted(number):
+    grid = Grid((0.01, 0.02, 0.03), (1 / 64, 1 / 40, 1 / 20), (64, 40, 20))
+    whole, part = np.zeros((2, 20, 40, 64), np.float32)
+    add_kernels(whole, grid, some_kernels("linear"))
+    z, y, x = np.argwhere(whole > 0.1)[number]
+    ends = np.zeros((20, 40, 2), np.int32)
+    ends[z, y] = x, x + 1
+    add_kernels(part, grid, some_kernels("linear"), wanted=ends)
+    assert part[z, y, x] == pytest.approx(whole[z, y, x], abs=5e-5)
+    assert np.count_nonzero(part.any(axis=2)) == 1
