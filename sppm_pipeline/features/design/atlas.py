@@ -379,10 +379,11 @@ def searched(
         at = spread(CANDIDATES, len(ranges))
         at[:, 0] = at[:, 0] if porosity is None else (porosity - low) / (high - low)
         logs, half = atlas.logs(family, at)
+        bands = np.exp(half)
         for total in TOTALS:
             values = np.exp(logs) * (edge * total ** (-1 / 3)) ** powers
             tables.append(np.column_stack([values, low + at[:, 0] * (high - low)]))
-            rows += [(family, point, total, np.exp(half)) for point in at]
+            rows += [(family, point, total, bands) for point in at]
     if not tables:
         ranges_ = ", ".join(f"{name} {f.ranges[POROSITY]}" for name, f in FAMILIES.items())
         raise ConfigError(f"no family has the porosity {porosity:g}", hint=f"there are {ranges_}")
