@@ -1,10 +1,10 @@
 """The board: what a user waits for, in whole processes with nothing kept, all in one run.
 
-    python -m benchmarks.board [NAMES ...] [--runs 3] [--write]     # --write: into benchmarks/README.md
+    python -m benchmarks.board [NAMES ...] [--runs 3] [--scale] [--write]     # --write: into benchmarks/README.md
     python -m benchmarks.board --one 64 0.7                         # one cell's stiffness, in this process
 
-Names choose rows that contain one of them; those of scale, minutes each, are measured once, and only if they are asked
-for: `python -m benchmarks.board scale`. `pip install muGrid` for the other solver of the stiffness.
+Names choose rows that contain one of them; with --scale there are those of scale, minutes each, too.
+`pip install muGrid` for the other solver of the stiffness.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Row(NamedTuple):
     unit: str  # of work: what a voxel takes, or how near it is to a limit
 
 
-def rows(runs: int, names: list[str], scratch: Path) -> Iterator[Row]:
+def rows(runs: int, names: list[str], scale: bool, scratch: Path) -> Iterator[Row]:
     """Measure all rows that are asked for, one by one."""
 
     def wanted(what: str) -> bool:
@@ -131,16 +131,16 @@ def rows(runs: int, names: list[str], scratch: Path) -> Iterator[Row]:
     if importlib.util.find_spec("muGrid") and wanted(what := "stiffness of a cell, 64^3, porosity 0.5, muGrid"):
         yield Row(what, median([sys.executable, "-m", "benchmarks.board", "--one", "64", "0.5", "--mugrid"], 1), "")
 
-    if "scale" not in names:
+    if not scale:
         return
     for name in ("27 tiles", "scattered pores"):
         stages = BOXES[name].replace("[8, 8, 8]", f"[{SCALE_CELLS}, {SCALE_CELLS}, {SCALE_CELLS}]")
         spent = run(of_file(RECIPE + stages + LAYERS))
         each = 1e9 * spent.cpu / (100 * SCALE_CELLS) ** 3
-        yield Row(f"scale: layers of 110 mm at 0.05 mm, {name}", spent, f"{each:.2f} ns a voxel")
+        yield Row(f"layers of 110 mm at 0.05 mm, {name}", spent, f"{each:.2f} ns a voxel")
     sweep = (ROOT / "configs" / "porosity_map.yaml").read_text(encoding="utf-8").split("\nafter:")[0]
     spent = run(of_file(sweep.replace("to: 50", f"to: {SWEEP_ROWS // 11}").replace("resolution: 40", "resolution: 16")))
-    yield Row(f"scale: a sweep of {SWEEP_ROWS} rows", spent, f"{1e3 * spent.cpu / SWEEP_ROWS:.1f} ms a row")
+    yield Row(f"a sweep of {SWEEP_ROWS} rows", spent, f"{1e3 * spent.cpu / SWEEP_ROWS:.1f} ms a row")
 
 
 def _with_cache(command: list[str], folder: str) -> Run:
@@ -175,6 +175,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--scale", action="store_true")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--one", nargs=2)
     parser.add_argument("--mugrid", action="store_true")
@@ -184,7 +185,7 @@ def main() -> None:
         return
     lines = ["| what | CPU s | s in all | peak MB | |", "|---|---|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:
-        for what, spent, unit in rows(args.runs, args.names, Path(folder)):
+        for what, spent, unit in rows(args.runs, args.names, args.scale, Path(folder)):
             lines.append(f"| {what} | {spent.cpu:.2f} | {spent.wall:.2f} | {spent.peak:.0f} | {unit} |")
             print(lines[-1], flush=True)
     load = os.getloadavg()[0]

@@ -30,6 +30,13 @@ if TYPE_CHECKING:
 MEASURED_CLOSELY, COARSEST = 127, 6
 """Cells up to which the porosity is measured at the full resolution, and voxels along an edge that many are given."""
 
+MANY_BOXES = 64
+"""Boxes into which many cells are divided at least, each measured at places of its own in its cells. Tiles repeat: on a
+grid of seven voxels, the same in all cells, 10 648 cells of 27 tiles were off by 0.017."""
+
+SHIFTS = np.array([0.8191725134, 0.6710436067, 0.5497004779])
+"""Steps of the additive recurrence that spreads these places evenly (Roberts 2018)."""
+
 SPARE_SAMPLES = 2**20
 """Samples of a box of cells that is measured at once though most of them are not there (heuristic: only speed depends
 on it)."""
@@ -205,7 +212,7 @@ class Tiler(LaidCells):
     """
 
     porosity: float | None = options.porosity(None, note="that of the part or box; that of the tile set if omitted")
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
     advice: ClassVar[str] = "give larger cells or fewer of them"
 
@@ -308,19 +315,19 @@ def measured_tiling(made: Size, resolution: int) -> Size:
     return replace(made, samples=measured.samples, sums=measured.sums, resident=measured.samples)
 
 
-def boxes_of(cells: I64, spare: float) -> list[tuple[I64, tuple[int, int, int]]]:
-    """Low corners and shapes of boxes that hold these cells, (n, 3), each once.
+def boxes_of(cells: I64, spare: float, most: float = np.inf) -> list[tuple[I64, tuple[int, int, int]]]:
+    """Low corners and shapes of boxes that hold these cells, (n, 3), each once, and no more than `most` in a box.
 
     Half of a box are cells that it is to hold, or it has no more than `spare` altogether: a layer of a ring or frame
     would be hollow.
     """
     lower, size = cells.min(0), np.ptp(cells, 0) + 1
-    if size.prod() <= max(2 * len(cells), spare):
+    if size.prod() <= max(2 * len(cells), spare) and len(cells) <= max(most, 1):
         return [(lower, (int(size[0]), int(size[1]), int(size[2])))]
     # halves along the longest axis, until no box is mostly empty
     axis = int(size.argmax())
     low = cells[:, axis] < lower[axis] + size[axis] // 2
-    return [*boxes_of(cells[low], spare), *boxes_of(cells[~low], spare)]
+    return [*boxes_of(cells[low], spare, most), *boxes_of(cells[~low], spare, most)]
 
 
 def at_porosity(
@@ -329,7 +336,7 @@ def at_porosity(
     """The tiling cut at the level that gives this porosity, within the part if there is one.
 
     Few cells are measured one by one, at `resolution` voxels along an edge; many in layers, or pieces of these, at
-    `measured_per_edge`.
+    `measured_per_edge`. Where tiles repeat, each piece has a grid that is shifted by itself.
     """
     from sppm_pipeline.method.part.part import Part
     from sppm_pipeline.method.porosity.level import level_for_porosity
@@ -341,10 +348,9 @@ def at_porosity(
     h = 1.0 / per_edge
     part = None if cover is None else Part(tiling, cover, 0.0, "keep")
 
-    def samples_of(corner: I64, shape: tuple[int, int, int]) -> F32:
-        (x, y, z), (nx, ny, nz) = corner.astype(float), shape
-        # voxel centers
-        grid = Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (nx * per_edge, ny * per_edge, nz * per_edge))
+    def samples_of(corner: I64, shape: tuple[int, int, int], number: int = 0) -> F32:
+        (x, y, z), (nx, ny, nz) = corner + h * ((0.5 + number * SHIFTS) % 1), shape  # voxel centers in the first box
+        grid = Grid((x, y, z), (h,) * 3, (nx * per_edge, ny * per_edge, nz * per_edge))
         sums = tiling.sums(grid, context.threads)
         if part is not None:
             within: F32 = sums.T[part.inside_zyx(grid, 0, grid.shape[2]) != 0]
@@ -359,7 +365,11 @@ def at_porosity(
     else:
         # boxes within a layer bound the memory of the samples that are not needed
         layers = (filled[filled[:, 2] == z] for z in np.unique(filled[:, 2]))
-        found = [samples_of(*box) for cells in layers for box in boxes_of(cells, SPARE_SAMPLES / per_edge**3)]
+        interiors = tiling.arrays.interior
+        repeats = len(np.unique(interiors[interiors >= 0])) < len(filled)
+        spare, most = SPARE_SAMPLES / per_edge**3, len(filled) / MANY_BOXES if repeats else np.inf
+        boxes = [box for cells in layers for box in boxes_of(cells, spare, most)]
+        found = [samples_of(*box, number if repeats else 0) for number, box in enumerate(boxes)]
     samples = np.concatenate(found)
     if not samples.size:
         raise DesignError(

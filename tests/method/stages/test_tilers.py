@@ -65,6 +65,17 @@ def test_boxes_and_parts_have_the_porosity_of_the_set(sets, kind, ball):
     assert 1 - part.solid_zyx(grid, 0, grid.shape[2]).sum() / inside.sum() == pytest.approx(0.5, abs=1e-3)
 
 
+@pytest.mark.parametrize("cells", [(12, 12, 12), (40, 40, 1), (3, 3, 200)])
+def test_many_cells_of_few_tiles_have_their_porosity(recipe, cells):
+    """Few samples a cell see nothing of a tile but their places in it, if these are the same in all cells."""
+    tiles = WangTileSet(colors=2, porosity=0.6, resolution=24).run(PlainContext(3), recipe())
+    laid = WangTiling(cells=cells, cell=Length(5.0)).run(PlainContext(4), tiles, None)
+    n = 25
+    grid = Grid((0.5 / n,) * 3, (1 / n,) * 3, tuple(n * count for count in cells))
+    layers = range(0, grid.shape[2], 1 if cells[2] == 1 else 7)  # seven visits all places of 25
+    assert np.mean([1 - laid.solid_zyx(grid, k, k + 1).mean() for k in layers]) == pytest.approx(0.6, abs=0.0015)
+
+
 def test_a_repeated_field_has_no_porosity_of_its_own(recipe):
     cleaned = CheckConnectivity(resolution=16, islands="remove").run(
         PlainContext(), recipe().run(PlainContext(5)).with_level(0.02)
