@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -345,7 +346,7 @@ class WrittenFiles:
         self._threads = threads
         self._sums: dict[str, str] = {}
         self._hashed: dict[str, tuple[int, int, str]] = {}
-        self._syncing: list[Future[None]] = []
+        self._syncing: list[tuple[Sequence[str], Future[None]]] = []
         self._folders: set[str] = set()
         self._unsynced: list[str] = []
         self._begun = 0
@@ -401,7 +402,7 @@ class WrittenFiles:
         self._begun += len(files)
         self._unsynced += files[left:]
         for part in _parts(files[:left]):
-            self._syncing.append(self._workers().submit(_sync_all, part))
+            self._syncing.append((part, self._workers().submit(_sync_all, part)))
 
     def changed(self, folders: Collection[Path]) -> None:
         """Remember folders in which names have changed."""
@@ -410,10 +411,12 @@ class WrittenFiles:
     def settle(self) -> None:
         """Wait until the disk has all of them; `OSError` if it failed to take one."""
         # every job is waited for, so that none touches a file after an error was reported
-        errors = [error for job in self._syncing if (error := job.exception()) is not None]
+        errors = [(part, error) for part, job in self._syncing if (error := job.exception()) is not None]
         self._syncing.clear()
-        if errors:
-            raise errors[0]
+        for part, error in errors:
+            if getattr(error, "errno", None) not in (errno.EMFILE, errno.ENFILE):
+                raise error
+            _sync_all(part)  # what the stages had open is closed by now
         if self._unsynced and not sync_file_system(os.path.dirname(self._unsynced[0])):
             _sync_all(self._unsynced)
         self._unsynced.clear()
