@@ -1,7 +1,7 @@
 """The board: what a user waits for, in whole processes with nothing kept, all in one run.
 
     python -m benchmarks.board [NAMES ...] [--runs 3] [--scale] [--write]     # --write: into benchmarks/README.md
-    python -m benchmarks.board --one 64 0.7                         # one cell's stiffness, in this process
+    python -m benchmarks.board --one 64 0.7 TOLD.json               # one cell's stiffness, in this process
 
 Names choose rows that contain one of them; with --scale there are those of scale, minutes each, too.
 `pip install muGrid` for the other solver of the stiffness.
@@ -14,8 +14,6 @@ import importlib.util
 import json
 import os
 import platform
-import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -27,7 +25,7 @@ import numpy as np
 
 import sppm_pipeline as sppm
 from benchmarks.homogenization import PASSES, bandwidth
-from benchmarks.measure import Run, between_marks, pipeline_command, run
+from benchmarks.measure import Run, between_marks, median, pipeline_command, run
 from sppm_pipeline.features.stiffness.numerics.elasticity import stiffness
 from sppm_pipeline.services.elastic.voigt import lame
 
@@ -85,10 +83,6 @@ def rows(runs: int, names: list[str], scale: bool, scratch: Path) -> Iterator[Ro
     def wanted(what: str) -> bool:
         return not names or any(name in what for name in names)
 
-    def median(command: list[str], count: int = runs) -> Run:
-        run(command)  # warms the disk's cache, and compiles what is missing
-        return Run(*map(statistics.median, zip(*(run(command) for _ in range(count)), strict=True)))
-
     def of_file(text: str) -> list[str]:
         path = scratch / "board.yaml"
         path.write_text(text, encoding="utf-8")
@@ -97,18 +91,18 @@ def rows(runs: int, names: list[str], scale: bool, scratch: Path) -> Iterator[Ro
     quickstart = pipeline_command(ROOT / "configs" / "quickstart.yaml", scratch / "out")
     if wanted(what := "quickstart, first run"):
         with tempfile.TemporaryDirectory() as empty:
-            yield Row(what, _with_cache(quickstart, empty), "kernels are compiled")
+            yield Row(what, run(["env", f"XDG_CACHE_HOME={empty}", *quickstart]), "kernels are compiled")
     if wanted(what := "quickstart, warm"):
-        yield Row(what, median(quickstart), "")
+        yield Row(what, median(quickstart, runs), "")
     for name, stages in BOXES.items():
         if wanted(what := f"layers of 40 mm at 0.05 mm, {name}"):
-            spent = median(of_file(RECIPE + stages + LAYERS))
+            spent = median(of_file(RECIPE + stages + LAYERS), runs)
             yield Row(what, spent, f"{1e9 * spent.cpu / VOXELS:.1f} ns a voxel")
     table = (ROOT / "configs" / "table_mesh_free.yaml").read_text(encoding="utf-8").split("\nsweep:")[0]
     units = table.replace("cells: [3, 3, 3]", "cells: [8, 8, 8]")
     ours = None
     if wanted(what := "512 units of 32^3, layers"):
-        ours = median(of_file(units))
+        ours = median(of_file(units), runs)
         yield Row(what, ours, f"{1e9 * ours.cpu / (512 * 32**3):.0f} ns a voxel")
     if wanted(what := "512 units of 32^3, layers, a script with NumPy, SciPy and Pillow"):
         spent = median([sys.executable, "-m", "benchmarks.rivals.obvious_mesh_free", "8", str(scratch / "rival")], 1)
@@ -118,18 +112,21 @@ def rows(runs: int, names: list[str], scale: bool, scratch: Path) -> Iterator[Ro
             tail = (
                 f"  - {{stage: extract.marching_cubes, resolution: 32}}\n  - {{stage: write.mesh, path: out.{kind}}}\n"
             )
-            yield Row(what, median(of_file(units.split("  - {stage: slice.field")[0] + tail)), "")
+            yield Row(what, median(of_file(units.split("  - {stage: slice.field")[0] + tail), runs), "")
     speed = bandwidth()
     for voxels in (64, 128, 256):
         for porosity in POROSITIES:
             if wanted(what := f"stiffness of a cell, {voxels}^3, porosity {porosity}"):
-                command = [sys.executable, "-m", "benchmarks.board", "--one", str(voxels), str(porosity)]
+                told = scratch / "one.json"
+                command = [sys.executable, "-m", "benchmarks.board", "--one", str(voxels), str(porosity), str(told)]
                 spent = median(command, runs if voxels < 256 else 1)
-                solver, iterations = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+                solver, iterations = json.loads(told.read_text(encoding="utf-8"))
                 limit = iterations * voxels**3 * PASSES * 12 / speed
                 yield Row(what, spent, f"solver {solver:.2g} s, {solver / limit:.1f} times what memory allows")
     if importlib.util.find_spec("muGrid") and wanted(what := "stiffness of a cell, 64^3, porosity 0.5, muGrid"):
-        yield Row(what, median([sys.executable, "-m", "benchmarks.board", "--one", "64", "0.5", "--mugrid"], 1), "")
+        told = str(scratch / "one.json")
+        command = [sys.executable, "-m", "benchmarks.board", "--one", "64", "0.5", told, "--mugrid"]
+        yield Row(what, median(command, 1), "")
 
     if not scale:
         return
@@ -143,21 +140,8 @@ def rows(runs: int, names: list[str], scale: bool, scratch: Path) -> Iterator[Ro
     yield Row(f"a sweep of {SWEEP_ROWS} rows", spent, f"{1e3 * spent.cpu / SWEEP_ROWS:.1f} ms a row")
 
 
-def _with_cache(command: list[str], folder: str) -> Run:
-    """A run with another folder of kept kernels."""
-    before = os.environ.get("XDG_CACHE_HOME")
-    os.environ["XDG_CACHE_HOME"] = folder
-    try:
-        return run(command)
-    finally:
-        if before is None:
-            del os.environ["XDG_CACHE_HOME"]
-        else:
-            os.environ["XDG_CACHE_HOME"] = before
-
-
-def one(voxels: int, porosity: float, mugrid: bool) -> None:
-    """Solve for the stiffness of a cell of the paper's preset; prints processor seconds and iterations of a case."""
+def one(voxels: int, porosity: float, told: Path, mugrid: bool) -> None:
+    """Solve for the stiffness of a cell of the paper's preset; writes processor seconds and iterations of all cases."""
     solid = np.ascontiguousarray(sppm.cell("paper", porosity=porosity, seed=1).voxels(voxels).values > 0, np.float32)
     lam, mu = lame(solid, np.float32(0.3))
     started = time.process_time()
@@ -168,7 +152,7 @@ def one(voxels: int, porosity: float, mugrid: bool) -> None:
         iterations = 0
     else:
         iterations = sum(case.iterations for case in stiffness(lam, mu).solved)
-    print(json.dumps([time.process_time() - started, iterations]))
+    told.write_text(json.dumps([time.process_time() - started, iterations]), encoding="utf-8")
 
 
 def main() -> None:
@@ -177,11 +161,11 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--scale", action="store_true")
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--one", nargs=2)
+    parser.add_argument("--one", nargs=3)
     parser.add_argument("--mugrid", action="store_true")
     args = parser.parse_args()
     if args.one:
-        one(int(args.one[0]), float(args.one[1]), args.mugrid)
+        one(int(args.one[0]), float(args.one[1]), Path(args.one[2]), args.mugrid)
         return
     lines = ["| what | CPU s | s in all | peak MB | |", "|---|---|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:

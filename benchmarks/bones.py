@@ -175,11 +175,11 @@ def words_of_made(paths: list[Path]) -> str:
     near = np.mean(of("cell") <= NEAR)
     late = of("design_seconds", beyond)
     return (
-        f"{len(members)} random members of the family (`--reachable`), each the mean of six other draws, stretched and "
-        f"turned: distances of designs, on which six draws scatter on either side: {spread('design')}; of one cell of "
+        f"{len(members)} random members of the family (`--reachable`), each the mean of other draws, stretched and "
+        f"turned: distances of designs, on which draws scatter on either side: {spread('design')}; of one cell of "
         f"`tune.tensor`: {spread('cell')}, {100 * near:.0f} % of them within {NEAR}, at densities that are at most "
         f"{100 * off:.2f} % of the volume off, in {np.median(of('cell_seconds')):.0f} CPU-s in the median and "
-        f"{of('cell_seconds').max():.0f} at most.\nOf the constants of eight further single cells "
+        f"{of('cell_seconds').max():.0f} at most.\nOf the constants of further single cells "
         f"{100 * inside.mean():.1f} ± {100 * inside.std(ddof=1) / len(inside) ** 0.5:.1f} % lay in the stated "
         "intervals.\n"
         f"Of {len(beyond)} tensors with twice the solid's share of its modulus, or with a Poisson's ratio of -0.4 "
