@@ -124,8 +124,8 @@ def rows(runs: int, names: list[str], scale: bool, scratch: Path) -> Iterator[Ro
                 limit = iterations * voxels**3 * PASSES * 12 / speed
                 yield Row(what, spent, f"solver {solver:.2g} s, {solver / limit:.1f} times what memory allows")
     if importlib.util.find_spec("muGrid") and wanted(what := "stiffness of a cell, 64^3, porosity 0.5, muGrid"):
-        told = str(scratch / "one.json")
-        command = [sys.executable, "-m", "benchmarks.board", "--one", "64", "0.5", told, "--mugrid"]
+        told = scratch / "one.json"
+        command = [sys.executable, "-m", "benchmarks.board", "--one", "64", "0.5", str(told), "--mugrid"]
         yield Row(what, median(command, 1), "")
 
     if not scale:

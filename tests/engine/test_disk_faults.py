@@ -120,6 +120,31 @@ def test_a_file_system_that_cannot_sync_is_no_fault(work, monkeypatch, number):
     assert work.run(PIPELINE)["status"] == "done"
 
 
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.EIO])
+def test_a_sync_that_found_no_descriptor_is_done_again(tmp_path, monkeypatch, number):
+    """The stages' are free by then; any other error is the disk's."""
+    path, asked = tmp_path / "file", []
+    path.write_bytes(b"kept")
+
+    def scarce(file):
+        asked.append(file)
+        if len(asked) == 1:
+            raise OSError(number, os.strerror(number), file)
+        sync(file)
+
+    monkeypatch.setattr(outputs, "sync", scarce)
+    files = outputs.WrittenFiles(2)
+    files.sync(path)
+    if number == errno.EIO:
+        with pytest.raises(OSError, match="Input/output"):
+            files.settle()
+        assert asked == [str(path)]
+    else:
+        files.settle()
+        assert asked == [str(path)] * 2
+    files.close()
+
+
 def test_folders_are_synced_after_their_names_have_changed(tmp_path, monkeypatch):
     events = []
     fsync, replace = os.fsync, os.replace
